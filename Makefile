@@ -52,7 +52,8 @@ imports:
 # processes, since a third of the time is spent waiting for daemons and browsers.
 unit:
 	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not prove' $(COVER)
-	$(BIN)/pytest -m 'realtime and not prove' $(if $(COVER),$(COVER) --cov-append)
+	$(BIN)/pytest -m 'realtime and not prove' $$(grep -rl --include='test_*.py' 'mark.realtime' tests) \
+	    $(if $(COVER),$(COVER) --cov-append)
 
 unit-quick:
 	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not slow and not prove'
@@ -68,7 +69,7 @@ coverage: .venv/.compiled
 docs: .venv/.installed-dev
 	$(BIN)/mkdocs build --quiet
 
-# The long evidence, about 75 minutes on two quiet cores. Every part runs although one fails, and prints its time;
+# The long evidence, about 80 minutes on two quiet cores. Every part runs although one fails, and prints its time;
 # `make prove-fuzz` runs one part. docs/evidence/proof.md has the sizes for a release, which are stored.
 ADVERSARY_TICKS ?= 6000000
 MUTANTS ?= --sample 40

@@ -31,6 +31,7 @@ def test_the_largest_gain_sees_no_gap_where_there_is_none(campaign):
     assert (found.verdict.verdict, _names(found)) == ("none", [])
 
 
+@pytest.mark.prove
 def test_bic_goes_on_to_the_second_effect(campaign):
     assert {"pressure.dead_time", "arm.payload"} <= set(_names(METHODS["bic"](campaign(LATE_AND_LOADED), Model())))
 

@@ -44,6 +44,7 @@ def _examined(trials):
     return Examination(setup, known, kinds, ROBOT, lambda what, share: None)
 
 
+@pytest.mark.prove
 def test_the_flight_that_is_asked_for_splits_the_set(fly):
     trials = [fly("both")]  # the cart's one sine: late is late
     found = _examined(trials)

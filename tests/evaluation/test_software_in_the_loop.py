@@ -59,8 +59,7 @@ def twin_state(endpoint):
         return json.loads(wait(states.try_recv, "a state of the twin").payload.to_string())
 
 
-# Over 3 s: the start of a daemon and a twin.
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.realtime
 def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rail(sil):
     """After kill -9 in mid-swing, no process sends a stop."""

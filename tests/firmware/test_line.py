@@ -52,6 +52,7 @@ async def test_the_native_program_acts_as_a_board(program: Program, until: Any, 
     assert program.end() == ["disarmed, 0.00 kPa", "armed, 7.50 kPa", "disarmed, 0.00 kPa"]
 
 
+@pytest.mark.prove
 @pytest.mark.realtime
 def test_the_steps_cover_the_valves_range(program: Program) -> None:
     """Run firmware/steps.py, in real time because of the time to live."""

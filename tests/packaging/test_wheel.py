@@ -125,6 +125,7 @@ def test_the_wheel_contains_all_data_files_and_no_others(built: Path) -> None:
     assert held == wanted
 
 
+@pytest.mark.prove
 def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: Path, tmp_path: Path) -> None:
     said = run(
         installed,

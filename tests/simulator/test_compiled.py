@@ -174,8 +174,7 @@ open("saved", "w").close()
 """
 
 
-# Over 3 s: two processes import numba and compile.
-@pytest.mark.slow
+@pytest.mark.prove
 def test_two_processes_can_save_at_the_same_time(package):
     slow, quick = (process(code, package) for code in (SLOW, QUICK))
     assert (answer(slow), answer(quick)) == (["2"], ["2.0"])

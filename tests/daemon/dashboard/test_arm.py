@@ -132,6 +132,7 @@ def test_trained_range_and_reachable_area_are_shaded(page):
     assert page.locator("#drawing .soft-limit").count() == page.locator("#drawing .hard-limit").count() == 2
 
 
+@pytest.mark.prove
 def test_two_pages_see_each_others_targets_and_their_source(page, robot, opened, press):
     robot.arm()
     other = opened()

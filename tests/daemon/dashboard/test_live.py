@@ -106,6 +106,7 @@ def test_screen_readers_get_each_mode(page, robot):
     page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Emergency stop.')")
 
 
+@pytest.mark.prove
 def test_without_a_stream_the_page_polls_the_status(robot, opened):
     """Some proxies block WebSockets."""
     page = opened(look=False, closed_streams=True)

@@ -27,6 +27,7 @@ def test_policies_are_listed_with_description_or_error(page, robot):
     assert "cannot be used" in panel.locator("li.broken", has_text=broken["name"]).inner_text().lower()
 
 
+@pytest.mark.prove
 def test_choosing_a_policy_shades_its_range_and_draws_its_shelf(page, robot, press):
     shaded = page.locator("#drawing .trained").get_attribute("width")
     page.get_by_role("button", name="Use shelf").click()

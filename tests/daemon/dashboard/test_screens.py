@@ -87,6 +87,7 @@ def test_the_charts_follow_the_colour_scheme(page):
     assert set(page.evaluate(colours)).isdisjoint(light)
 
 
+@pytest.mark.prove
 def test_a_browser_without_a_locale_draws_the_charts(opened, robot):
     """WebKit with LANG=C has no locale for the chart library's formatter."""
     page = opened()
@@ -96,6 +97,7 @@ def test_a_browser_without_a_locale_draws_the_charts(opened, robot):
     page.locator("#link[data-link=live]").wait_for()
 
 
+@pytest.mark.prove
 def test_without_the_chart_library_the_rest_of_the_page_works(opened, robot):
     page = opened()
     page.route("**/uPlot.iife.min.js", lambda route: route.abort())

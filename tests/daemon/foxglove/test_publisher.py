@@ -89,6 +89,7 @@ def robot(running):
         yield client
 
 
+@pytest.mark.prove
 def test_a_late_client_receives_ticks_frames_and_scenes_in_wall_time(running):
     with viewing(running.foxglove) as viewer:
         assert viewer.channels["/tf"]["schemaName"] == "foxglove.FrameTransforms"

@@ -34,7 +34,7 @@ def result(truth, record):
     return identify(Model(), trials, (record("sinusoid", truth, seed=3),))
 
 
-# Over 3 s: identification of twenty parameters from 44 s of motion; shorter motions miss the five percent.
+@pytest.mark.prove
 def test_stiffness_damping_and_gain_are_within_five_percent(result, truth):
     errors = result.refinement.column / bench.to_columns(truth.arm) - 1
     assert np.abs(errors[:15]).max() < 0.05

@@ -30,6 +30,7 @@ def test_the_trials_are_the_folders_own(form, flown, request):
                 np.testing.assert_allclose(values, other.channels[channel][column] + late_s, rtol=0, atol=1e-8)
 
 
+@pytest.mark.prove
 def test_a_shuffled_campaign_from_parquet_gets_the_same_verdict(diagnosed, as_parquet):
     verdict = diagnose(read_all([as_parquet])[::-1], Model()).verdict
     assert verdict == diagnosed(DEAD_TIME_S).verdict

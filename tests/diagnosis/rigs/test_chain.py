@@ -319,8 +319,7 @@ def test_no_effect_is_named_on_a_healthy_noisy_arm():
     assert (verdict.verdict, found) == ("none", {})
 
 
-# Over 3 s: a whole search over all effects of a chain, whose time hardly depends on the length of the recordings.
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("beyond", "name", "parameter", "size"),
     [

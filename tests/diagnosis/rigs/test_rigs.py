@@ -222,7 +222,7 @@ def late_servo():
     return trials
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_late_servo_is_split_into_dead_time_lag_and_acceleration_limit():
     verdict = diagnose_table(late_servo()).verdict
     found = {e.name.partition(".")[2]: e for e in verdict.effects}

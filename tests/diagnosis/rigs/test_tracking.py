@@ -303,6 +303,7 @@ def test_a_fast_source_is_averaged_without_losing_motion():
     assert resolving_hz(rare, "position") == pytest.approx(50, rel=0.01)
 
 
+@pytest.mark.prove
 def test_a_delay_without_a_lag_is_resolved_to_half_a_sample():
     """Without a lag, all delays within a sample give the same readings."""
     command = commands()["multisine"]

@@ -100,12 +100,14 @@ def test_a_recorded_excitation_is_not_proposed_again(proposal):
     assert found.excitation not in kinds
 
 
+@pytest.mark.prove
 def test_a_separation_like_the_recorded_one_is_not_enough(proposal):
     kinds = [proposal.excitation, "rail-dashes"]
     found = splitting(Model(), RAIL, _recorded(kinds, LAG), kinds)
     assert found.excitation.startswith(NOTHING)
 
 
+@pytest.mark.prove
 def test_a_repeat_is_asked_for_where_it_shows_a_stage_that_was_not_recorded():
     """The arm feels a wrong zero of the regulator, never its sensor's bias; no camera was there to see it."""
     kinds = list(EXCITATIONS)

@@ -97,7 +97,7 @@ def before_the_second_goal(monkeypatch):
     return actions.append
 
 
-# Over 3 s: flights of two policies in real time by a daemon and a twin in processes of their own.
+@pytest.mark.prove
 @live
 def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path, before_the_second_goal):
     before_the_second_goal(lambda bench: httpx.post(f"http://127.0.0.1:{robot.api.port}/api/stop"))

@@ -34,7 +34,7 @@ def test_a_minute_in_lockstep_flies_goals_without_a_stop(minute):
     assert minute.slopes.keys() == lockstep.ALLOWED.keys()
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_after_the_real_time_the_share_of_lockstep_is_shown(tmp_path, monkeypatch):
     monkeypatch.setattr(both.realtime, "soak", lambda *_: None)
     monkeypatch.setattr(both, "POLL_S", 0.01)
@@ -89,8 +89,7 @@ def test_a_folder_that_holds_logs_is_refused(tmp_path):
     assert (done.exit_code, "is not empty" in done.output) == (1, True)
 
 
-# Over 3 s: the shortest time in which a goal is flown and enough requests are answered.
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.realtime
 @pytest.mark.parametrize("seconds", [7, pytest.param(20, marks=pytest.mark.prove)])
 def test_a_few_seconds_in_real_time_fly_under_load(tmp_path, seconds):

@@ -85,7 +85,7 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path)
     assert action[1] == pytest.approx(0.0, abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
     with workers(1) as pool:

@@ -66,6 +66,7 @@ def reported(curve):
     return points
 
 
+@pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_tensorboard_holds_the_learning_curve_over_frames(tmp_path):
     with workers(1) as pool:
@@ -173,6 +174,7 @@ def test_a_report_is_one_self_contained_file(tmp_path):
     assert f"{run.best:.1%}" in text
 
 
+@pytest.mark.prove
 def test_the_shelf_is_drawn_with_its_boards(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool, task=ShelfTask())

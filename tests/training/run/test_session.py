@@ -170,7 +170,7 @@ def test_other_settings_cannot_resume_a_run(finished):
         session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_run_ends_after_validations_without_improvement(tmp_path):
     config = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)

@@ -32,7 +32,7 @@ def file(tmp_path):
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_restarted_sweep_skips_finished_runs(file, tmp_path):
     out, wanted = tmp_path / "runs", sweep.load(file)

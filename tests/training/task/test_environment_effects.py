@@ -194,7 +194,7 @@ def test_the_closest_distance_of_a_trial_is_the_true_one():
     assert outcome.closest_m[0] < REACH.success_radius_m
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_run_records_its_model_and_resumes_on_no_other(tmp_path):
     config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
