@@ -203,9 +203,9 @@ def test_a_late_policy_is_abandoned_and_its_stale_action_discarded():
     assert outcome.fault.startswith("late: policy 'slow' has not answered for ")
     assert outcome.fault.endswith("its budget is 200 ms")
     assert outcome.duration_ns >= 200e6
-    again = runner.step(OBSERVATION, GOAL)  # the old step still runs
-    assert again.fault.startswith("late: ")
-    assert again.duration_ns < 100e6
+    again = [runner.step(OBSERVATION, GOAL) for _ in range(50)]  # the old step still runs
+    assert all(each.fault.startswith("late: ") for each in again)
+    assert sum(each.duration_ns for each in again) < 50 * 200e6  # a step that waited would take its budget
     policy.let_go.release(100)
     outcome = until(lambda: (o := runner.step(OBSERVATION + 5, GOAL)).fault is None and o)
     assert outcome.action[0] == 5  # of the new observation: the late answer, for 0, is gone
@@ -300,8 +300,24 @@ def test_the_fault_of_a_late_step_states_its_duration():
     runner.close()
 
 
-def test_the_thread_runner_adds_little_time():
+def test_a_threaded_step_takes_a_few_bare_handovers_to_a_thread_and_back():
+    go, done = threading.Semaphore(0), threading.Semaphore(0)
+
+    def answer():
+        for _ in range(500):
+            go.acquire()
+            done.release()
+
+    thread = threading.Thread(target=answer)
+    thread.start()
     runner = ThreadRunner(Scripted(), AMPLE_S)
-    times = [runner.step(OBSERVATION, GOAL).duration_ns for _ in range(500)]
+    bare, steps = [], []
+    for _ in range(500):
+        start_ns = time.monotonic_ns()
+        go.release()
+        done.acquire()
+        bare.append(time.monotonic_ns() - start_ns)
+        steps.append(runner.step(OBSERVATION, GOAL).duration_ns)
+    thread.join()
     runner.close()
-    assert np.median(times) < 2e6  # ns; well under a tenth of a millisecond on an idle machine
+    assert np.median(steps) < 20 * np.median(bare)
