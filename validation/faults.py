@@ -16,10 +16,11 @@ from softarm.cli.shared.errors import failing
 from softarm.common.processes import WorkerDied, as_they_come, bar, cores
 from softarm.evaluation.evaluation import FLIGHTS
 from softarm.evaluation.robots import with_faults
-from softarm.evaluation.runner import fly_grid, shares
+from softarm.evaluation.runner import fly, load
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas import flights
 
 # Strong faults within the bounds of the effect registry and of a bench; the rail's first.
 FAULTS = (
@@ -67,7 +68,8 @@ def measure(policies: Sequence[str], advance: Callable[[int], None]) -> dict[str
 
 def _fly(job: tuple[str, str, RobotParameters]) -> float:
     policy, _, robot = job
-    return shares(fly_grid(policy, robot)).all
+    flown = fly(load(policy), robot, flights.grid())
+    return sum(flight.reached for flight in flown) / len(flown)
 
 
 @click.command()

@@ -3,13 +3,10 @@
 The validation of training instead flies many robots at once: `training/learn/validation.py`.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
@@ -17,15 +14,13 @@ from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.reality.parameters import RobotParameters
-from softarm.schemas import flights
 from softarm.schemas.config import Config
 from softarm.schemas.config import Policy as ConfiguredPolicy
-from softarm.schemas.flights import TEST_TARGETS, Flight, Scenario, Shares, Swing
+from softarm.schemas.flights import Flight, Scenario, Swing
 from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
 
 Robot = Model | RobotParameters  # the simulator with a model, or the independent robot
-Reached = NDArray[np.bool_]  # [targets, starts]
 PolicyName = Path | str  # an ONNX file, or a name that the registry knows
 NOWHERE = Goal("reach", 0.0, 0.9)  # out of reach
 
@@ -155,20 +150,6 @@ def load(policy: PolicyName, config: Config | None = None) -> Policy:
     if isinstance(policy, str):
         return registry.load(policy, config.policies if config else None)
     return registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
-
-
-def fly_grid(
-    policy: PolicyName, robot: Robot, targets: Sequence[Goal] = TEST_TARGETS, config: Config | None = None
-) -> Reached:
-    """Fly every target from rest at every cart start. Raises PolicyError."""
-    flown = fly(load(policy), robot, flights.grid(targets), config)
-    return np.array([flight.reached for flight in flown]).reshape(len(targets), -1)
-
-
-def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
-    """Return the shares by the height of the targets."""
-    heights_m = np.repeat([goal.z_m for goal in targets], reached.shape[1])
-    return flights.shares(reached.ravel(), heights_m)
 
 
 def _is_armed(daemon: Lockstep) -> bool:

@@ -82,11 +82,10 @@ def fly_all(
     targets: Sequence[Goal],
     config: Config,
     on_progress: Callable[[str, float], None] = lambda text, share: None,
-    processes: int | None = None,
 ) -> dict[Key, Flights]:
     """Fly the (policy, robot) pairs from rest and chained, with the limits of `config`.
 
-    The number of processes (default: one per core) does not change the figures of trained policies.
+    The number of processes, one per core, does not change the figures of trained policies.
 
     Raises:
         PolicyError: A policy cannot be loaded.
@@ -98,7 +97,7 @@ def fly_all(
     whole, done, total = sum(map(_cost, todo)), 0, sum(len(job.scenarios) for job in todo)
     count = 0
     on_progress(f"flying {total} flights", 0.0)
-    for job, flown in as_they_come(_fly, todo, processes or cores()):
+    for job, flown in as_they_come(_fly, todo, cores()):
         found[job.key, job.number] = flown
         done, count = done + _cost(job), count + len(job.scenarios)
         on_progress(f"flying, {count} of {total} flights", done / whole)

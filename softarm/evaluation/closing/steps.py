@@ -25,7 +25,6 @@ from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import RailLimits
 from softarm.schemas.flights import TEST_TARGETS
-from softarm.schemas.goals import Goal
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
@@ -46,8 +45,6 @@ def close(
     is_the_robot: bool,
     config: RetrainingConfig,
     spent: Spent,
-    targets: Sequence[Goal] = TEST_TARGETS,
-    processes: int | None = None,
     replanned: bool = True,
     through: Callable[[Closed], Wires | None] = lambda closed: None,
 ) -> Closed:
@@ -92,8 +89,8 @@ def close(
     robots = {place.key: place.robot for place in places}
     pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
     with timed(spent, "fly"), bar("flying") as shown:
-        flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.report, processes)
-    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot).with_task()
+        flown = fly_all(policies, robots, pairs, TEST_TARGETS, rail.patched, shown.report)
+    closed = Closed(found, policy, tuple(places), flown, retrained, TEST_TARGETS, rail, is_the_robot).with_task()
     # Before the robot moves, so that the results survive an interrupted flight.
     _write(closed, out, spent)
     if (wires := through(closed)) is not None:

@@ -8,8 +8,7 @@ from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed
 from softarm.evaluation.closing.outcomes import HELD_OUT, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, Flights, better
 from softarm.evaluation.closing.wires import Wires
-from softarm.evaluation.runner import shares
-from softarm.schemas.flights import CART_STARTS_M
+from softarm.schemas import flights
 from softarm.simulator.model_rows import differences
 from softarm.training.run.retrain import Retrained
 
@@ -43,8 +42,8 @@ def _success(closed: Closed, place: str) -> dict[str, Any]:
         if (name, place, REST) not in closed.flown:
             continue
         success[name] = {manner: _flights(closed.flown[name, place, manner]) for manner in MANNERS}
-        reached = closed.flown[name, place, REST].reached.reshape(-1, len(CART_STARTS_M))
-        parts = shares(reached, closed.targets)._asdict()
+        heights_m = flights.heights(flights.grid(closed.targets))
+        parts = flights.shares(closed.flown[name, place, REST].reached, heights_m)._asdict()
         success[name] |= {part: None if math.isnan(share) else share for part, share in parts.items()}
     if NEW in success:
         for manner in MANNERS:

@@ -89,7 +89,7 @@ def soak(hours: float, seed: int, logs: Path, on_progress: Callable[[str, float]
                     status = sil.status()
                     for act in script.acts(status, now_s):
                         doing.submit(_do, act, sil.url, session, script.counts)
-                    watch.look(status, now_s)
+                    watch.look(status)
                 except httpx.HTTPError as error:
                     what = f"no answer to the script: {type(error).__name__} {error}"
                     unexpected.append(Unexpected(now_s, what, None))
@@ -127,7 +127,7 @@ class _Watch:
         self._pids = [pid, *(child for child in usage.children(pid) if RAIL_PROCESS in usage.command(child))]
         self._cpu_s, self._sampled_s = usage.of(self._pids).cpu_s, time.monotonic()
 
-    def look(self, status: dict[str, Any], now_s: float) -> None:
+    def look(self, status: dict[str, Any]) -> None:
         """Record lateness and missed ticks of a status."""
         self._late_ms.append(status["late_ns"] * 1e-6)
         self._missed = status["missed_total"]

@@ -1,13 +1,12 @@
 """Tests of `softarm close-gap` with a stand-in for the diagnosis."""
 
 import json
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
 
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.evaluation.closing import steps
+from softarm.evaluation.closing import fly, steps
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Gap, Quantity, Verdict, Where
@@ -49,7 +48,8 @@ def campaign(tmp_path):
 
 
 def test_the_result_shows_success_rates_and_the_written_files(asked, campaign, tmp_path, monkeypatch):
-    monkeypatch.setattr(steps, "close", partial(steps.close, targets=(EASY, NEVER), processes=1))
+    monkeypatch.setattr(steps, "TEST_TARGETS", (EASY, NEVER))
+    monkeypatch.setattr(fly, "cores", lambda: 1)
     arguments = ["close-gap", str(campaign), "--out", str(tmp_path / "out"), "--policy", "reach", "--robot", "no-delay"]
     outcome = invoke(*arguments)
     assert outcome.exit_code == 3, outcome.output  # keep the old one: there is no other

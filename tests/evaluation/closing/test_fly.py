@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import pytest
 
+from softarm.evaluation.closing import fly
 from softarm.evaluation.closing.fly import Replanning, at_rest, chains, fly_all, fly_chain
 from softarm.evaluation.closing.outcomes import CHAINED, NEW, OLD, PATCHED, REPLANNED, REST
 from softarm.evaluation.runner import Runner, load
@@ -16,6 +17,11 @@ from tests.evaluation.closing import cases
 
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+
+
+@pytest.fixture(autouse=True)
+def one_process(monkeypatch):
+    monkeypatch.setattr(fly, "cores", lambda: 1)
 
 
 def with_effect(name, **values):
@@ -64,7 +70,7 @@ def test_a_camera_latency_of_46_ms_causes_no_stop():
     """A latched stop once ended 53 of 107 goals."""
     late = with_effect("mocap.latency", delay=0.046)
     targets = TEST_TARGETS[3:30:6]
-    flown = fly_all({OLD: REACH}, {PATCHED: late}, [(OLD, PATCHED)], targets, Config(), processes=1)
+    flown = fly_all({OLD: REACH}, {PATCHED: late}, [(OLD, PATCHED)], targets, Config())
     for manner in (REST, CHAINED):
         assert flown[OLD, PATCHED, manner].stops == (None,) * 15
         assert flown[OLD, PATCHED, manner].share > 0.7
@@ -78,7 +84,7 @@ def test_every_policy_flies_the_same_scenarios_with_progress(tmp_path):
     policies, reported = {OLD: REACH, NEW: REACH, REPLANNED: cases.QuickReplanning(file)}, []
     pairs = [(name, PATCHED) for name in policies]
     robots, targets = {PATCHED: model}, (EASY, NEVER)
-    flown = fly_all(policies, robots, pairs, targets, Config(), lambda *args: reported.append(args), processes=1)
+    flown = fly_all(policies, robots, pairs, targets, Config(), lambda *args: reported.append(args))
     assert set(flown) == {(name, PATCHED, manner) for name in policies for manner in (REST, CHAINED)}
     for manner in (REST, CHAINED):
         old, new, replanned = (flown[name, PATCHED, manner] for name in policies)
@@ -106,10 +112,10 @@ def test_the_replanning_policy_plans_on_the_model_of_its_file(tmp_path):
 
 @pytest.mark.prove
 @pytest.mark.slow
-def test_the_number_of_processes_does_not_change_the_flights():
+def test_the_number_of_processes_does_not_change_the_flights(monkeypatch):
     robots, targets = {PATCHED: with_effect("rail.delay", delay=0.06)}, (EASY, NEVER)
-    alone, apart = (
-        fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config(), processes=count) for count in (1, 2)
-    )
+    alone = fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config())
+    monkeypatch.setattr(fly, "cores", lambda: 2)
+    apart = fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config())
     for manner in (REST, CHAINED):
         assert alone[OLD, PATCHED, manner].reached.tolist() == apart[OLD, PATCHED, manner].reached.tolist()

@@ -7,7 +7,7 @@ import pytest
 
 from softarm.daemon.config.configuration import load
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.evaluation.closing import steps
+from softarm.evaluation.closing import fly, steps
 from softarm.evaluation.closing.closed import Place
 from softarm.evaluation.closing.outcomes import HELD_OUT
 from softarm.evaluation.closing.wires import Wires
@@ -45,13 +45,19 @@ NONE = NAMED.model_copy(
 )
 
 
-def close(out, held_out, declared=True, through=lambda closed: None, targets=(EASY, NEVER), **found):
+@pytest.fixture(autouse=True)
+def two_targets(monkeypatch):
+    """Fly to two targets, in this process."""
+    monkeypatch.setattr(steps, "TEST_TARGETS", (EASY, NEVER))
+    monkeypatch.setattr(fly, "cores", lambda: 1)
+
+
+def close(out, held_out, declared=True, through=lambda closed: None, **found):
     out.mkdir()
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent = {}
-    how = {"targets": targets, "processes": 1, "through": through}
-    steps.close(diagnosis, RAIL, REACH, out, held_out, declared, TINY, spent, **how)
+    steps.close(diagnosis, RAIL, REACH, out, held_out, declared, TINY, spent, through=through)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["spent"].keys() == spent.keys()
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
@@ -125,7 +131,8 @@ def test_a_refused_retraining_leaves_report_and_verdict_of_the_diagnosis(tmp_pat
     assert not (out / "summary.json").exists()
 
 
-def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_precede_the_motion(tmp_path):
+def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_precede_the_motion(tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "TEST_TARGETS", (EASY,))
     written = []
 
     def through(closed):
@@ -133,7 +140,7 @@ def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_prec
         return Wires.unflown("the robot of softarm.yaml", "not wanted")
 
     late = Place(HELD_OUT, "late", LATE)
-    found = {"verdict": NONE, "patched": None, "targets": (EASY,)}
+    found = {"verdict": NONE, "patched": None}
     verdict, summary = close(tmp_path / "out", late, declared=False, through=through, **found)
     files = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
