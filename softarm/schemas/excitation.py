@@ -8,8 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-CART_EXCURSION_MAX_M = 0.20  # of what is commanded: short of RAIL_LIMIT_M
-
 
 class Segment(Protocol):
     """One segment of a signal."""

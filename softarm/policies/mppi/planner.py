@@ -24,13 +24,13 @@ CENTRE, HALF = np.float32(0.5) * (HIGH + LOW), np.float32(0.5) * (HIGH - LOW)
 class Planner:
     """Search for plans of `steps` commands, `period_s` apart; each round simulates `rollouts` plans on `model`."""
 
-    def __init__(self, model: Model, rollouts: int, steps: int, period_s: float, cost: Cost | None = None) -> None:
+    def __init__(self, model: Model, rollouts: int, steps: int, period_s: float) -> None:
         from softarm.simulator.simulator import Simulator  # imports numba, which only this policy needs
 
         self._simulator: Simulator = Simulator(model, robots=rollouts, physics_rate_hz=PHYSICS_HZ)
         self._rollouts, self._steps, self._period_s = rollouts, steps, period_s
         self._kept = round(KEPT_SHARE * rollouts)
-        self._cost = cost or Cost()
+        self._cost = Cost()
         self.begin(np.zeros(2, dtype=np.float32), seed=0)
 
     def begin(self, command: Array, seed: int) -> None:

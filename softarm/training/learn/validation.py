@@ -186,18 +186,16 @@ def chosen_by(task: ReachTask) -> str:
     return SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else VALIDATION_SET
 
 
-def fly_trials(
-    network: PolicyNetwork, task: ReachTask, pool: Workers, model: Model, physics_rate_hz: float = PHYSICS_RATE_HZ
-) -> Tested:
+def fly_trials(network: PolicyNetwork, task: ReachTask, pool: Workers, model: Model) -> Tested:
     """Fly a task's test trials on a model; they do not influence the training."""
     links = model.arm.links
     if not isinstance(task, ShelfTask):
         scenarios = grid_scenarios(links)
-        flown = fly(network, task, scenarios, pool, physics_rate_hz, model)
+        flown = fly(network, task, scenarios, pool, PHYSICS_RATE_HZ, model)
         return Tested(flights.shares(flown.reached, scenarios.target_m[:, 1]), scenarios, flown)
     # The seed's twelve trials: four targets from three cart starts.
     scenarios = combined(flights.shelf(), links)
     rng = np.random.default_rng(RANDOM_SHELF_SEED)
     random = _random_shelf_scenarios(replace(ShelfTask(), muscle=task.muscle), links, RANDOM_SHELF_TRIALS, rng)
-    seeds, others = (fly(network, task, each, pool, physics_rate_hz, model) for each in (scenarios, random))
+    seeds, others = (fly(network, task, each, pool, PHYSICS_RATE_HZ, model) for each in (scenarios, random))
     return Tested(ShelfReport(float(seeds.reached.mean()), float(others.reached.mean())), scenarios, seeds)

@@ -32,6 +32,7 @@ from softarm.training.task.shelf import environment_of
 Array = NDArray[np.float32]
 
 OPSET = 17
+GOLDEN_STEPS = 100
 IR_VERSION = 8  # the oldest for operator set 17, so that old runtimes read it
 
 
@@ -167,7 +168,7 @@ def _vent(network: PolicyNetwork) -> None:
         network.mean_head.bias[1] = -2.0 * low / (high - low) - 1.0
 
 
-def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Golden:
+def golden_run(network: PolicyNetwork, task: ReachTask) -> Golden:
     """Record a closed-loop run of one robot to a typical target, which the exported file must reproduce."""
     state = network.initial_state(1)
     with workers(1) as pool:
@@ -178,18 +179,18 @@ def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Gol
             action: Array = mean.clamp(-1.0, 1.0).numpy()
             return action
 
-        return recorded_run(act, task, steps)
+        return recorded_run(act, task)
 
 
-def recorded_run(act: Callable[[Array], Array], task: ReachTask, steps: int = 100) -> Golden:
+def recorded_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
     """Record a golden run of a function from observations [1, N] to actions [1, 2]."""
     # No radius: passing the target does not end the run.
-    recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
+    recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=GOLDEN_STEPS + 1)
     environment = environment_of(recorded, 1, seed=0, physics_rate_hz=PHYSICS_RATE_HZ)
     target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
     observation = environment.reset(validation.at_rest(np.array([0.1]), environment.simulator.links), target)
     inputs, outputs = [], []
-    for _ in range(steps):
+    for _ in range(GOLDEN_STEPS):
         inputs.append(tuple(observation[0].tolist()))
         action = act(observation)
         outputs.append(tuple(action[0].tolist()))

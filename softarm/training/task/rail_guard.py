@@ -14,12 +14,10 @@ Array = NDArray[np.float32]
 class RailGuard:
     """Clamp of a batch's velocity commands by the braking law, with a memory of commands that still act."""
 
-    def __init__(
-        self, robots: int, period_s: float, limits: RailLimits | None = None, hold_s: float = DryveRail().hold_s
-    ) -> None:
+    def __init__(self, robots: int, period_s: float, limits: RailLimits | None = None) -> None:
         """Prepare a clamp with a command every `period_s`, undelayed readings and the daemon's configuration."""
         limits = limits or RailLimits()
-        self._law = limits.braking_law(hold_s).in_float32()
+        self._law = limits.braking_law(DryveRail().hold_s).in_float32()
         self._period_s = period_s
         self._velocity_max_m_s = limits.velocity_max_m_s
         before = math.ceil(limits.latency_s / period_s - 1e-9) + 1  # that act from now on, and until now
