@@ -36,7 +36,7 @@ class Running:
         return not self.statuses or self.statuses[-1]["mode"] in IN_USE
 
 
-def look(url: str, token: str | None, samples: int = SAMPLES, apart_s: float = APART_S) -> Running | None:
+def look(url: str, token: str | None, samples: int = SAMPLES) -> Running | None:
     """Request several statuses; return None if no softarm daemon answers. Raises ValueError for an invalid URL."""
     try:
         scheme = httpx.URL(url).scheme
@@ -49,7 +49,7 @@ def look(url: str, token: str | None, samples: int = SAMPLES, apart_s: float = A
     with httpx.Client(base_url=url, headers=headers, timeout=ASK_S, trust_env=False) as client:
         for number in range(samples):
             if number:
-                time.sleep(apart_s)
+                time.sleep(APART_S)
             try:
                 answer = client.get("/api/status")
                 body = answer.json()
