@@ -43,7 +43,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.verdict == "none":
         return "No cause found" if _exceeds_a_floor(diagnosis) else "No gap"
     if verdict.verdict == "unknown" or not verdict.effects:
-        return f"An unknown effect in {verdict.where.stage}"
+        return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
     if sum(1 + len(effect.equivalents) for effect in verdict.effects) > LISTED_MAX:
         return f"{_counted(verdict.effects)}{more}"
@@ -132,7 +132,8 @@ def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
     before, ceiling = verdict.gap.before.get(stage), verdict.gap.ceiling.get(stage)
     could = reduction(before, ceiling)
     size = f" of {quantity(before.value, before.unit)} RMS" if before else ""
-    cause = f"There is a gap{size} in the {stage} stage ({verdict.where.regime}). No known effect explains it."
+    where = f"in the {stage} stage ({verdict.where.regime})" if stage else "between robot and simulator"
+    cause = f"There is a gap{size} {where}. No known effect explains it."
     mine = [rival for rival in diagnosis.rivals if rival.name.startswith(f"{stage}.")]
     best = max(mine or diagnosis.rivals, key=lambda r: r.alone, default=None)
     held_out = HELD_OUT[diagnosis.held_out]

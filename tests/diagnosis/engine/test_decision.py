@@ -153,6 +153,8 @@ def test_structure_in_the_residual_rules_out_none():
     assert _decide(quiet, {}, _odd(0.4)).kind == "none"
     decision = _decide(quiet, {}, _odd(1.5))
     assert (decision.kind, decision.structure) == ("unknown", {"arm": "at reversals, it carries on"})
+    # No energy is left to locate it; the report must say so.
+    assert stage_of(stage_shares(decision, {}), STAGES) is None
 
 
 @pytest.mark.parametrize(("floors", "kind"), [(3.9, "none"), (4.1, "unknown")])

@@ -426,6 +426,18 @@ def test_an_unknown_cause_names_no_effect_but_the_share_of_the_closest():
     assert sure.endswith("The closest known effect, pressure.lag, removes 10 %.")
 
 
+def test_an_unknown_cause_without_a_stage_names_none():
+    """Structure in a part of a residual within its floor: something is missing, and no energy is left to locate it."""
+    nowhere = Where(stage=None, share={}, regime="nowhere")
+    case = diagnosis(verdict=verdict(verdict="unknown", effects=(), where=nowhere), patched=None)
+    assert headline(case) == "An unknown effect"
+    cause, _, _ = report.answer(case)
+    assert cause == "There is a gap between robot and simulator. No known effect explains it."
+    shown = Page(report.render(case)).words
+    assert "None" not in shown
+    assert "nowhere" not in shown
+
+
 def test_each_overlay_is_on_the_page_and_the_diagnosed_stage_comes_first():
     case = CASES["named"]
     data = json.loads(Page(report.render(case)).data)
