@@ -8,7 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from softarm.simulator.simulator import NARROW, PARALLEL_BLOCKS, WIDE, Simulator
+from softarm.simulator.simulator import NARROW, PARALLEL_BLOCKS, WIDE
+from softarm.simulator.stage_simulator import StageSimulator
 
 # One SIMD register, a batch on one core, a batch on all cores.
 ROBOTS = (len(NARROW), len(WIDE), len(WIDE) * PARALLEL_BLOCKS)
@@ -18,11 +19,15 @@ OVERRIDES: tuple[dict[str, float], ...] = ({}, {"arm.payload.mass": 0.01})
 
 def compile_for(robots: int, overrides: dict[str, float]) -> None:
     """Run every entry point of the kernel once for a batch of this size."""
-    simulator = Simulator(robots=robots, overrides=overrides)
+    simulator = StageSimulator(robots=robots, overrides=overrides)
     simulator.step(0.0, 0.0)
     if robots > len(WIDE):
         return
-    simulator.fly(np.zeros((1, robots)), np.zeros((1, robots)))
+    zeros = np.zeros((1, robots))
+    simulator.fly(zeros, zeros)
+    simulator.fly_pressure(zeros, zeros, 0.01)
+    simulator.fly_cart(zeros, zeros, zeros, 0.01)
+    simulator.fly_arm(zeros, zeros, zeros, 0.01)
     simulator.step_pressure(0.0, 0.01)
     simulator.step_cart(0.0, 0.01)
 

@@ -1,4 +1,4 @@
-"""Interface of planners: whole plans in one call, a batch at the state of one robot, points of a trajectory."""
+"""Whole plans and recordings in one call, a batch at the state of one robot, points of a trajectory."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 from benchmarks import commands
 from softarm.schemas.model import Arm, Model
 from softarm.simulator.simulator import Simulator
+from softarm.simulator.stage_simulator import StageSimulator
 
 STEPS = 12
 
@@ -66,3 +67,34 @@ def test_robots_put_at_their_own_state_continue_unchanged() -> None:
         left.step(velocity[step], pressure[step])
     np.testing.assert_array_equal(touched.tip_m(), left.tip_m())
     assert np.ptp(left.tip_m()[:, 0]) > 0.01
+
+
+@pytest.mark.parametrize("robots", [5, 40])
+@pytest.mark.parametrize("effects", [{}, {"arm.payload.mass": 0.01, "rail.delay.delay": 0.02}])
+def test_recordings_of_a_stage_flown_in_one_call_are_the_steps_they_consist_of(robots: int, effects) -> None:
+    random, at, duration_s = np.random.default_rng(robots), (STEPS, robots), 1 / 60
+    cart, speed, push = (random.normal(0, size, at) for size in (0.01, 0.1, 0.5))
+    pressure, late = random.uniform(0, 20, at), random.uniform(0, 0.005, at)
+    whole, stepped = StageSimulator(robots=robots, overrides=effects), Simulator(robots=robots, overrides=effects)
+    for simulator in (whole, stepped):
+        simulator.reset(cart_position_m=cart[0], pressure_kpa=pressure[0])
+    arm = whole.fly_arm(cart, speed, pressure, duration_s)
+    for step in range(STEPS):
+        np.testing.assert_array_equal(arm[step], stepped.link_ends_m().transpose(2, 1, 0).reshape(-1, robots))
+        if step + 1 < STEPS:
+            start = cart[step], speed[step], pressure[step]
+            stepped.step_arm(cart[step + 1], speed[step + 1], pressure[step + 1], duration_s, start=start)
+    for simulator in (whole, stepped):
+        simulator.reset()
+    seen_m_s, seen_kpa = whole.fly_cart(speed, push, late, duration_s), whole.fly_pressure(pressure, late, duration_s)
+    for step in range(STEPS):
+        np.testing.assert_array_equal(seen_m_s[step], stepped.cart_velocity_m_s)
+        stepped.step_cart(speed[step], duration_s, push[step], late_s=late[step])
+    for step in range(STEPS):
+        np.testing.assert_array_equal(seen_kpa[step], stepped.pressure_kpa)
+        stepped.step_pressure(pressure[step], duration_s, late_s=late[step])
+
+
+def test_recordings_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"steps, 5"):
+        StageSimulator(robots=5).fly_pressure(np.zeros((3, 5)), np.zeros((2, 5)), 0.01)

@@ -12,7 +12,7 @@ from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.robot.trial_grid import RATE_HZ, STEP_S, TrialGrid
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
-from softarm.simulator.simulator import Simulator
+from softarm.simulator.stage_simulator import StageSimulator
 
 # Noise floors, RMS: this simulator and the independent one in MuJoCo, with parameters a few per cent off, differ by
 # about this much.
@@ -168,15 +168,12 @@ class PressureView(RobotView):
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         f, robots = self.grid, len(points) * len(self.grid.trials)
-        simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, self.acts))
+        simulator = StageSimulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, self.acts))
         bias = self._robots(self._value(points, "pressure.sensor_bias.bias"))
         first = np.nan_to_num(f.pressure_kpa[0])
         simulator.reset(pressure_kpa=np.tile(first, len(points)) - bias)
         command, late = self._tiled(f.pressure_command_kpa, points), self._tiled(f.late_s, points)
-        seen = np.empty((len(f.t_s), robots), np.float32)
-        for t in range(len(f.t_s)):
-            seen[t] = simulator.pressure_kpa
-            simulator.step_pressure(command[t], STEP_S, late_s=late[t])
+        seen = simulator.fly_pressure(command, late, STEP_S)
         return (seen + bias.astype(np.float32)).reshape(len(seen), len(points), -1, 1)
 
 
@@ -215,14 +212,11 @@ class RailView(RobotView):
         for path in _DRAW:  # invisible to an encoder on the motor
             if path in overrides:
                 overrides[path] = np.where(self._robots(on_motor.astype(float)) > 0, 0.0, overrides[path])
-        simulator = Simulator(self.model, robots, RAIL_HZ, overrides=overrides)
+        simulator = StageSimulator(self.model, robots, RAIL_HZ, overrides=overrides)
         simulator.reset(cart_position_m=np.tile(f.hinge_m[0], len(points)))
         push = self._push(points)
         command, late = self._tiled(f.cart_velocity_m_s, points), self._tiled(f.late_s, points)
-        seen = np.empty((len(f.t_s), robots), np.float32)
-        for t in range(len(f.t_s)):
-            seen[t] = simulator.cart_velocity_m_s
-            simulator.step_cart(command[t], STEP_S, push[t], late_s=late[t])
+        seen = simulator.fly_cart(command, push, late, STEP_S)
         return seen.reshape(len(seen), len(points), -1, 1)
 
     def _push(self, points: Sequence[Point]) -> Array:
@@ -265,14 +259,14 @@ class ArmView(RobotView):
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         robots = len(points) * len(self.grid.trials)
-        simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, parameters(*_stage("arm"))))
-        return self._fly(simulator, points)
+        overrides = self._overrides(points, parameters(*_stage("arm")))
+        return self._fly(StageSimulator(self.model, robots, ARM_HZ, overrides=overrides), points)
 
     def start_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with initial angles, then rates, [2 n, M, S]."""
         n = self.grid.links
         changes = np.diag(np.repeat(START_NUDGES, n)).reshape(2 * n, 2, n)
-        simulator = Simulator(self.model, 2 * n * len(self.grid.trials), ARM_HZ)
+        simulator = StageSimulator(self.model, 2 * n * len(self.grid.trials), ARM_HZ)
         moved = self._fly(simulator, [{}] * (2 * n), (changes[:, 0], changes[:, 1]))
         return self._less(moved) - self._gap([{}])
 
@@ -285,11 +279,11 @@ class ArmView(RobotView):
                 values = list(getattr(arm, name))
                 values[i] += share * (values[i] if name != "torque_offset_nm" else max(map(abs, values)))
                 models += [self.model.model_copy(update={"arm": arm.model_copy(update={name: tuple(values)})})] * k
-        moved = self._fly(Simulator(models, physics_rate_hz=ARM_HZ), [{}] * (len(JOINT_SHARES) * n))
+        moved = self._fly(StageSimulator(models, physics_rate_hz=ARM_HZ), [{}] * (len(JOINT_SHARES) * n))
         return self._less(moved) - self._gap([{}])
 
     def _fly(
-        self, simulator: Simulator, points: Sequence[Point], changes: tuple[Array, Array] | None = None
+        self, simulator: StageSimulator, points: Sequence[Point], changes: tuple[Array, Array] | None = None
     ) -> NDArray[np.float32]:
         """Simulate every trial at every point, [T, P, K, 2 n]; changes: of initial angles and rates, [P, n] each."""
         f, k = self.grid, len(self.grid.trials)
@@ -303,16 +297,12 @@ class ArmView(RobotView):
         simulator.reset(
             joint_angles_rad=joints, link_rates_rad_s=rates, cart_position_m=cart[0], pressure_kpa=pressure[0]
         )
-        seen = np.empty((len(f.t_s), simulator.robots, 2 * f.links), np.float32)
-        base = np.array([0.0, self.model.arm.base_height_m])
-        for t in range(len(f.t_s)):
-            ends = simulator.link_ends_m() - base
-            ends[:, :, 0] -= cart[t][:, None]
-            seen[t] = ends.transpose(0, 2, 1).reshape(len(ends), -1)
-            if t + 1 < len(f.t_s):
-                before = (cart[t], speed[t], pressure[t])
-                simulator.step_arm(cart[t + 1], speed[t + 1], pressure[t + 1], STEP_S, start=before)
-        return self._as_seen(seen.reshape(len(seen), len(points), k, -1), points)
+        seen = simulator.fly_arm(cart, speed, pressure, STEP_S)
+        y, z = seen[:, : f.links], seen[:, f.links :]
+        np.subtract(y, cart[:, None], out=y, casting="same_kind")
+        np.subtract(z, np.float64(self.model.arm.base_height_m), out=z, casting="same_kind")
+        ends = np.ascontiguousarray(seen.transpose(0, 2, 1))
+        return self._as_seen(ends.reshape(len(seen), len(points), k, -1), points)
 
     def _cart(self, points: Sequence[Point]) -> tuple[Array, Array]:
         """Return position and velocity of the cart, [T, P K], scaled if an encoder on the motor hides a wrong feed."""

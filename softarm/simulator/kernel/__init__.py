@@ -2,8 +2,8 @@
 
 Each SIMD lane (simulator/simd.py) carries one robot, so the code reads as if for one robot. A block holds one group
 of lanes as a flat array of rows (layout.py): parameters, state, command history and scratch, one value a lane. Each
-stage has its file: pressure.py, rail.py, arm.py with joints.py and contact.py. run.py combines them, numerics.py
-holds shared functions.
+stage has its file: pressure.py, rail.py, arm.py with joints.py and contact.py. run.py combines them, stages.py runs
+one alone, numerics.py holds shared functions.
 
 The numbers of links and lanes are the lengths of two tuples. They are constants to the compiler, so one source
 serves any number of links, a large batch and a single robot. The effects of a batch are a set of bits, read once a
@@ -15,7 +15,8 @@ A change in any of these files recompiles all of them (compiled.py): numba alone
 """
 
 from softarm.simulator.kernel.layout import HISTORY, Rows, rows
-from softarm.simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, fly, locate, prepare
+from softarm.simulator.kernel.run import advance, advance_parallel, fly, locate, prepare
+from softarm.simulator.kernel.stages import advance_cart, advance_pressure, fly_arm, fly_cart, fly_pressure
 
 __all__ = [
     "HISTORY",
@@ -25,6 +26,9 @@ __all__ = [
     "advance_parallel",
     "advance_pressure",
     "fly",
+    "fly_arm",
+    "fly_cart",
+    "fly_pressure",
     "locate",
     "prepare",
     "rows",

@@ -22,8 +22,8 @@ from softarm.simulator.kernel.layout import (
     rows,
 )
 from softarm.simulator.kernel.numerics import clip
-from softarm.simulator.kernel.pressure import age, issue, regulate
-from softarm.simulator.kernel.rail import drive, gives_way, lacking, settle_cart
+from softarm.simulator.kernel.pressure import age, issue
+from softarm.simulator.kernel.rail import settle_cart
 from softarm.simulator.simd import load, store
 
 # Cap on rates, far beyond the robot's (its links turn at up to 30 rad/s). It keeps a light link finite when a
@@ -32,7 +32,8 @@ FASTEST_RAD_S, FASTEST_M_S = 80.0, 20.0
 
 
 @compiled
-def _issue(m, lanes, at, active):
+def issue_commands(m, lanes, at, active):
+    """Put the commands of a block into the histories of what is not given."""
     late = load(m, at.late, lanes)
     if not active & CART_GIVEN:
         issue(m, lanes, load(m, at.cart_command, lanes), at.rail_history, 0.0, late)
@@ -41,7 +42,8 @@ def _issue(m, lanes, at, active):
 
 
 @compiled
-def _grow_older(m, lanes, at, active, duration):
+def grow_older(m, lanes, at, active, duration):
+    """Age the histories of a block's commands by a duration, s."""
     if not active & CART_GIVEN:
         age(m, lanes, at.rail_history, duration)
     if active & PRESSURE and not active & PRESSURE_GIVEN:
@@ -49,12 +51,12 @@ def _grow_older(m, lanes, at, active, duration):
 
 
 @compiled
-def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
+def advance_block(m, w, links, lanes, parts, active, substeps, dt):
     """Advance one block by `substeps` substeps of `dt` seconds under its commands."""
     at, h = rows(links), 0.5 * dt
     if len(parts) == 0:
         active = 0  # a constant to the compiler, which removes all effects
-    _issue(m, lanes, at, active)
+    issue_commands(m, lanes, at, active)
     for substep in range(substeps):
         assemble(m, w, links, lanes, active, (substep + 1) * dt, dt)
         if active & JOINTS:
@@ -82,7 +84,7 @@ def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
             store(m, at.a + i, lanes, change * (1.0 / dt))
             store(m, at.q + i, lanes, load(m, at.q + i, lanes) + h * (v + after))
             store(m, at.v + i, lanes, after)
-    _grow_older(m, lanes, at, active, substeps * dt)
+    grow_older(m, lanes, at, active, substeps * dt)
 
 
 @compiled
@@ -100,14 +102,14 @@ def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
         dt: length of a substep, s, a scalar of the memory's type.
     """
     for block in range(memory.shape[0]):
-        _advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
+        advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
 
 
 @compiled(parallel=True)
 def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt):
     """Advance every block on all cores, with the arguments of `advance`."""
     for block in prange(memory.shape[0]):
-        _advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
+        advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
 
 
 @compiled(nogil=True)
@@ -129,49 +131,13 @@ def fly(memory, scratch, links, lanes, parts, active, substeps, dt, velocity, pr
             for k in range(min(width, velocity.shape[1] - first)):
                 m[at.cart_command * width + k] = velocity[step, first + k]
                 m[at.pressure_command * width + k] = pressure[step, first + k]
-            _advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
+            advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
             locate_block(m, links, lanes)
             for k in range(min(width, velocity.shape[1] - first)):
                 path[step, 0, first + k] = m[at.q * width + k]
                 path[step, 1, first + k] = m[at.v * width + k]
                 path[step, 2, first + k] = m[(at.end_y + n - 1) * width + k]
                 path[step, 3, first + k] = m[(at.end_z + n - 1) * width + k]
-
-
-@compiled
-def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt):
-    """Advance only the pressure, with the arguments of `advance`."""
-    at = rows(links)
-    for block in range(memory.shape[0]):
-        m = memory[block]
-        _issue(m, lanes, at, active | CART_GIVEN)
-        for substep in range(substeps):
-            regulate(m, lanes, at, active, (substep + 1) * dt, dt)
-        _grow_older(m, lanes, at, active | CART_GIVEN, substeps * dt)
-
-
-@compiled
-def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
-    """Advance only the cart under its drive and the force at `cart_push`, with the arguments of `advance`."""
-    at, h = rows(links), 0.5 * dt
-    for block in range(memory.shape[0]):
-        m = memory[block]
-        _issue(m, lanes, at, active | PRESSURE_GIVEN)
-        for substep in range(substeps):
-            force, mass = drive(m, lanes, at, active, (substep + 1) * dt, dt)
-            inertia = load(m, at.cart_mass, lanes) + mass
-            a = (force + load(m, at.cart_push, lanes)) / inertia
-            if active & RAIL:
-                response = 1.0 / inertia
-                a = a + response * gives_way(m, lanes, at, lacking(m, lanes, at, a), response)
-            v = load(m, at.v, lanes)
-            way = dt * (v + h * a)
-            if active & RAIL:
-                settle_cart(m, lanes, at, way)
-            store(m, at.a, lanes, a)
-            store(m, at.q, lanes, load(m, at.q, lanes) + way)
-            store(m, at.v, lanes, v + dt * a)
-        _grow_older(m, lanes, at, active | PRESSURE_GIVEN, substeps * dt)
 
 
 @compiled
