@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Choice, Progress, Search
+from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
 from softarm.diagnosis.engine.view import Array
@@ -158,14 +159,20 @@ class Examination:
                 return True
         return False
 
+    @cached_property
+    def slow(self) -> dict[str, Structure]:
+        """Return the strongest slow change of a fitted strength, by the stage that shows it."""
+        return slow_changes(self.setup, self.search, self.searched)
+
     def decide(self, signs: Mapping[str, Structure] | None = None) -> Decision:
         """Return the verdict on the chosen effects.
 
         Args:
-            signs: stage -> finding of a further test, which no effect of the list explains.
+            signs: stage -> finding of a further test, which no effect of the list explains. A slow change comes first.
         """
+        signs = {**(signs or {}), **self.slow}
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs or {}, self.unresolved)
+        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, self.unresolved)
         return decide(self.choice, evidence, self.thresholds)
 
     def named(self, decision: Decision) -> Fit:

@@ -52,8 +52,8 @@ class Setup:
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
         self.directions = tuple(self._directions(g) for g in self.gaps)
         self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, block_s)))
-        self._origins = tuple(range(len(kinds)) if origins is None else origins)
-        self.fold, self.held_out = folds(self.blocks, kinds, self._origins), held_out(kinds, self._origins)
+        self.origins = tuple(range(len(kinds)) if origins is None else origins)
+        self.fold, self.held_out = folds(self.blocks, kinds, self.origins), held_out(kinds, self.origins)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
         boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
         self._low = np.array([b[0] for b in boxes] + [-1.0] * len(self._own))
@@ -64,7 +64,7 @@ class Setup:
         """Return the folds [B] of a search: those of the verdict, whole recordings, or every fifth block."""
         if by == "block":
             return interleaved(self.blocks)
-        return self.fold if by == "held_out" else folds(self.blocks, ("any",) * len(self._origins), self._origins)
+        return self.fold if by == "held_out" else folds(self.blocks, ("any",) * len(self.origins), self.origins)
 
     def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> FitProblem:
         """Return the problem whitened by these residuals (by view, [M, S]), or scaled by the nominal gap."""

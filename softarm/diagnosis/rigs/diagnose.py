@@ -178,10 +178,11 @@ class _Stage:
         view, decision, found = self.view, self.decision, self.found
         answer = self._answer()
         worst = max(regimes(view, self.nominal, None), key=lambda r: r.nominal_rms, default=None)
+        regime = "throughout" if worst is None else f"largest: {worst.name}"
         return Finding(
             answer=answer,
             energy=(answer.before / answer.floor) ** 2,
-            regime="throughout" if worst is None else f"largest: {worst.name}",
+            regime=found.slow[view.stage].where if found.slow else regime,
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
             calibration=self.calibrated.parameters,
@@ -266,7 +267,7 @@ class _Stage:
                     f"{effect.candidate.name} is not rated: {', '.join(effect.bounded)} explains as much at the end "
                     "of its range, and that bound may be the only reason against it"
                 )
-        if self.decision.structure and self.decision.selected:
+        if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
         damping = self.found.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
         if damping is not None and self.decision.selected and damping < -0.9:

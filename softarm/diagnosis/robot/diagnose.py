@@ -85,7 +85,7 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
     effects = _named_effects(comparison, found, decided) + [_count_effect(count) for count in named]
     return Answer(
         kind=kind,
-        where=Where(stage=stage, share=shares, regime=_regime(comparison, stage)),
+        where=Where(stage=stage, share=shares, regime=_regime(comparison, found, stage)),
         effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
         stages=tuple(_stages(comparison, found, decided, counted)),
         rivals=rivals.by_gain(found.search, choice, decision),
@@ -97,9 +97,11 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
     )
 
 
-def _regime(comparison: Comparison, stage: str | None) -> str:
+def _regime(comparison: Comparison, found: Examination, stage: str | None) -> str:
     if stage is None:
         return "nowhere"
+    if stage in found.slow:
+        return found.slow[stage].where
     for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
         if view.stage == stage:
             return regime.in_words(view, gaps.fetch([{}])[()])
