@@ -105,6 +105,8 @@ class Verdict(Strict):
     verdict: Literal["named", "incomplete", "unknown", "none"]
     where: Where
     effects: tuple[NamedEffect, ...] = ()  # ordered by what each adds to the others
+    # Other sets of effects that explain the recordings as well as the named effects of their stages.
+    equal_sets: tuple[tuple[str, ...], ...] = ()
     calibration: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
     gap: Gap
     task: Task | None = None

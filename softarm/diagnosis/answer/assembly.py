@@ -55,6 +55,7 @@ class Answer:
     warnings: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)
     vocabulary: Mapping[str, Effect] = field(default_factory=dict)
+    equal_sets: tuple[tuple[str, ...], ...] = ()
 
 
 def assemble(
@@ -80,6 +81,7 @@ def assemble(
         verdict=answer.kind,
         where=answer.where,
         effects=answer.effects,
+        equal_sets=answer.equal_sets,
         calibration=answer.calibration,
         gap=gap_of(stages),
         next_experiment=answer.next_experiment,

@@ -26,6 +26,7 @@ class Decision:
     explained: float  # share of the explainable energy that the named effects explain
     structure: Mapping[str, str] = field(default_factory=dict)  # stage -> structure in the residual that needs a cause
     unresolved: tuple[SelectedEffect, ...] = ()  # causes after the first that the data do not resolve
+    equal_sets: tuple[tuple[str, ...], ...] = ()  # names of other sets that explain as much as all named effects
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,9 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     if share < thresholds.cause.answer_min:
         return Decision("unknown", (), left, 0.0, structure)
     whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
-    return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved)
+    complete = len(selected) == len(choice.selected)
+    equals = tuple(fit.names for fit in choice.equal_sets) if complete else ()
+    return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved, equals)
 
 
 def remainder(choice: Choice, evidence: Evidence, t: Thresholds) -> Remainder:

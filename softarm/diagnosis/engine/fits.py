@@ -150,25 +150,11 @@ class FitProblem:
         """Return the losses of sets at given coordinates with fitted nuisances."""
         return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
 
-    def left_out(self, fit: Fit) -> list[tuple[EffectSet, Coordinates]]:
-        """Return a set without each of its effects, the others moved linearly to compensate for it."""
+    def sensitivities(self, fit: Fit) -> tuple[Array, Array]:
+        """Return normal matrix [p + q, p + q] and slope [p + q] of a fit's parameters and the nuisances."""
         x = np.array([v for us in fit.u for v in us])
-        p, found, first = len(x), [], 0
         ((jacobians, bases),) = self._linear([fit.effects], [x])
-        normal, slope = self._held_normal(fit.effects, x, jacobians, bases)
-        parameters = [d for each in fit.effects for d in each.parameters]
-        low, high = self._box(fit.effects, x)  # up to the bounds: the change is large
-        low[:p], high[:p] = (np.array([getattr(d, end) for d in parameters]) - x for end in ("low", "high"))
-        for i, each in enumerate(fit.effects):
-            gone = np.arange(first, first + len(each.parameters))
-            back = np.array([d.nominal for d in each.parameters]) - x[gone]
-            rest = np.delete(np.arange(len(slope)), gone)
-            wanted = -(slope[rest] + normal[np.ix_(rest, gone)] @ back)
-            change = box.solve(np.ascontiguousarray(normal[np.ix_(rest, rest)]), wanted, low[rest], high[rest])
-            others = fit.effects[:i] + fit.effects[i + 1 :]
-            found.append((others, split(others, np.delete(x, gone) + change[: p - len(gone)])))
-            first += len(gone)
-        return found
+        return self._held_normal(fit.effects, x, jacobians, bases)
 
     def block_squares(self) -> Array:
         """Return the squares of the nominal model's whitened residual in each block, [B]."""

@@ -5,12 +5,14 @@ Every comparison is between nested fits with the same nuisances, on held-out blo
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
-from softarm.diagnosis.engine import resample
+from softarm.diagnosis.engine import equal_sets, resample
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
 from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array
@@ -47,6 +49,7 @@ class SelectedEffect:
     rivals: tuple[tuple[Fit, Gain], ...]  # the set with a rival in its place, and the chosen set's gain over it
     equivalents: tuple[str, ...]  # effects that the data cannot separate from it
     bounded: tuple[str, ...] = ()  # rivals that would be equivalents, but are at the end of their range
+    exchangeable: bool = False  # whether a set without it, as large as the chosen one, explains as much
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,7 @@ class Choice:
     chosen: Fit
     selected: tuple[SelectedEffect, ...]  # largest gain first
     energies: tuple[Mapping[str, float], Mapping[str, float]]  # before, after
+    equal_sets: tuple[Fit, ...] = ()  # other sets, as large as the chosen one, that explain as much
 
 
 class Search:
@@ -87,12 +91,15 @@ class Search:
         chosen = self.backward(null_model, progress) if self.thresholds.approximate else null_model
         if not chosen.effects:  # a backward search may end in a local minimum
             chosen = self.forward(null_model, progress)
+        chosen = equal_sets.smallest(self, chosen, null_model)
         if self.thresholds.approximate:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))
             chosen = self.first_of_equals(chosen, null_model)
         self.extended(chosen)  # further effects count in `fitted`
         energies = self.energies(null_model), self.energies(chosen)
-        return Choice(null_model, tuple(self.ranked(null_model)), chosen, self.selected(chosen, null_model), energies)
+        equals = equal_sets.equals(self, chosen, null_model)
+        selected = self.selected(chosen, null_model, equals)
+        return Choice(null_model, tuple(self.ranked(null_model)), chosen, selected, energies, equals)
 
     def null_model(self) -> Fit:
         """Fit the nuisances alone, without any effect."""
@@ -219,7 +226,9 @@ class Search:
             sets = [_without(fit, i) for i in range(len(fit.effects))]
             few = 1 < len(sets) <= REFIT_MAX + 1
             if self.thresholds.approximate and few:  # the other of two similar effects must grow to replace it
-                moved = self.problem.left_out(fit)
+                prediction = Prediction(self.problem, fit)
+                rests = combinations(range(len(sets)), len(sets) - 1)
+                moved = [(each.effects, each.u) for each in map(prediction.of, rests)][::-1]
                 better = np.less(self.problem.losses(moved), self.problem.losses(sets))
                 sets = [m if gains else s for m, s, gains in zip(moved, sets, better, strict=True)]
             fits = self.problem.fit(sets, self.thresholds.search.rounds) if sets else []
@@ -274,8 +283,8 @@ class Search:
         """Return the chosen set without each of its effects; without its only effect it is the null model."""
         return self.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
 
-    def selected(self, chosen: Fit, null_model: Fit) -> tuple[SelectedEffect, ...]:
-        """Return each effect's gain next to the others, and its rivals."""
+    def selected(self, chosen: Fit, null_model: Fit, equals: Sequence[Fit]) -> tuple[SelectedEffect, ...]:
+        """Return each effect's gain next to the others, and its rivals; equals: sets that explain as much."""
         found = []
         for effect, less in zip(chosen.effects, self.without_each(chosen, null_model), strict=True):
             gain = self.gain(less, chosen)
@@ -284,7 +293,8 @@ class Search:
             alike = [f for f, g in rivals if self.is_equivalent(less, f, g, gain)]
             same = tuple(f.effects[-1].name for f in alike if not f.at_bound)
             bounded = tuple(f.effects[-1].name for f in alike if f.at_bound)
-            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded))
+            doubtful = any(effect.name not in fit.names for fit in equals)
+            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded, doubtful))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def first_of_equals(self, chosen: Fit, null_model: Fit) -> Fit:

@@ -37,6 +37,12 @@ def answer(diagnosis: Diagnosis) -> tuple[str, str, str]:
     return _cause(diagnosis), _how_sure(diagnosis), _shrinks(diagnosis)
 
 
+def equal_sets(diagnosis: Diagnosis) -> str:
+    """Return the other sets of effects that explain as much as the named ones, or an empty string."""
+    sets = [" with ".join(names) for names in diagnosis.verdict.equal_sets]
+    return f"The recordings fit as well: {listed(sets, 'or')}." if sets else ""
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """Return the answer as one sentence that a technician understands."""
     verdict = diagnosis.verdict
@@ -69,6 +75,8 @@ def _singles_first(effects: Sequence[NamedEffect], texts: Sequence[str]) -> list
 def _cause(diagnosis: Diagnosis) -> str:
     named = diagnosis.verdict.effects
     more = " More of the gap could be explained." if diagnosis.verdict.verdict == "incomplete" else ""
+    if diagnosis.verdict.equal_sets:
+        more += f" {equal_sets(diagnosis)}"
     if len(named) > LISTED_MAX:
         return f"Missing in the {model_word(diagnosis)}, {_counted(named)}: {_by_law(named)}.{more}"
     groups: dict[str, list[NamedEffect]] = {}

@@ -6,7 +6,7 @@ import numpy as np
 
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.diagnosis.report import causal, following
-from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, headline
+from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, equal_sets, headline
 from softarm.diagnosis.report.words import (
     calibration_in_words,
     corrected,
@@ -46,12 +46,12 @@ def result(diagnosis: Diagnosis) -> Html:
     kind = diagnosis.verdict.verdict
     named = diagnosis.verdict.effects
     causes = [_card(diagnosis, effect) for effect in named] if len(named) <= LISTED_MAX else []
-    lead = [calibration_in_words(diagnosis)] if causes else answer(diagnosis)
+    lead = [equal_sets(diagnosis), calibration_in_words(diagnosis)] if causes else answer(diagnosis)
     shown = kind.replace("_", " ") + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
     chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS.get(kind, shown)), class_="chip")
     title = el("h1", prose(headline(diagnosis)))
     cards = el("div", *causes, class_="cards") if causes else Html("")
-    paragraphs = el("div", *(el("p", prose(text)) for text in lead), class_="lead")
+    paragraphs = el("div", *(el("p", prose(text)) for text in lead if text), class_="lead")
     first, second = (_chain(diagnosis), paragraphs) if causes else (paragraphs, _chain(diagnosis))
     return join([chip, title, cards, first, tiles(_figures(diagnosis)), second, _task(diagnosis)])
 

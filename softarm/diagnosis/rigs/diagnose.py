@@ -124,6 +124,7 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
         warnings=tuple(warnings),
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
+        equal_sets=tuple(names for s in stages for names in s.decision.equal_sets),
     )
 
 

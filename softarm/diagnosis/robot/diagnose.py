@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from softarm.diagnosis.engine.result import Diagnosis, Unexplained
 from softarm.diagnosis.engine.search import Choice, Progress
 from softarm.diagnosis.engine.shrink import widened
 from softarm.diagnosis.engine.thresholds import ROBOT
+from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot import experiments, regime
 from softarm.diagnosis.robot.calibration import calibrated_tip, with_calibration
 from softarm.diagnosis.robot.candidates import candidates
@@ -33,6 +34,7 @@ from softarm.simulator.effects import REGISTRY, STAGES, find
 
 ALWAYS_SHOWN = ("clock", "observation")  # counted stages that are listed without a named effect as well
 KINDS_LEAST = 3  # kinds of excitation
+OTHERS_MAX = 3  # explanations that one experiment separates from the named one
 AT_BOUND_MIN = 50.0  # gain of an effect at its bound that is worth a warning
 
 
@@ -94,6 +96,7 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
         held_out=comparison.setup.held_out,
         next_experiment=_next(comparison, found, decision),
         warnings=tuple(_warnings(comparison, choice, decision)),
+        equal_sets=decision.equal_sets,
     )
 
 
@@ -209,18 +212,27 @@ def _counted_stages(counted: Sequence[Count], known: set[str]) -> list[StageAnsw
 def _next(comparison: Comparison, found: Examination, decision: Decision) -> NextExperiment | None:
     """Return a flight that separates a set, a note that none does, or a repeat of the worst trial."""
     asked = None
-    for effect in decision.selected:
-        close = [fit for fit, _ in effect.rivals if fit.effects[-1].name in effect.equivalents]
-        if close:
-            explanations = {effect.candidate.name: found.choice.chosen.point}
-            explanations |= {fit.effects[-1].name: fit.point for fit in close[:3]}
-            plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.kinds)
-            if plan is not None and plan.expect:
-                return plan
-            asked = asked or plan
+    for explanations in _explanations(found, decision):
+        plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.kinds)
+        if plan is not None and plan.expect:
+            return plan
+        asked = asked or plan
     if asked is not None or decision.kind not in ("unknown", "incomplete"):
         return asked
     return experiments.repeated(_worst_kind(comparison, found))
+
+
+def _explanations(found: Examination, decision: Decision) -> Iterator[dict[str, Point]]:
+    """Yield groups of explanations that fit equally well, each with its fitted parameters."""
+    chosen = found.choice.chosen
+    for effect in decision.selected:
+        if close := [fit for fit, _ in effect.rivals if fit.effects[-1].name in effect.equivalents]:
+            yield {effect.candidate.name: chosen.point} | {
+                fit.effects[-1].name: fit.point for fit in close[:OTHERS_MAX]
+            }
+    if decision.equal_sets:
+        fits = (chosen, *found.choice.equal_sets[:OTHERS_MAX])
+        yield {" with ".join(fit.names): fit.point for fit in fits}
 
 
 def _worst_kind(comparison: Comparison, found: Examination) -> str:

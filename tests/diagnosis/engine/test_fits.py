@@ -8,6 +8,7 @@ import pytest
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.engine.held_out import BlockSums
+from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from tests.diagnosis.engine.gauge import Gauge
@@ -203,8 +204,9 @@ def test_a_similar_effect_replaces_an_effect_that_is_left_out():
     view.acts = view.acts | {"stage.droop.scale"}
     problem = _problem(view)
     halves = problem.fit([((GAIN, LAG, droop), ((0.15,), (0.15,), (0.15,)))])[0]
-    (gain_less, at), (_, with_gain), (_, with_lag) = (problem.left_out(halves)[i] for i in (0, 2, 1))
-    assert [c.name for c in gain_less] == ["stage.lag", "stage.droop"]
-    assert at[1][0] == pytest.approx(TRUE[SCALE], abs=0.03)
-    assert with_gain[0][0] == pytest.approx(TRUE[SCALE], abs=0.03)
-    assert len(with_lag) == 2
+    prediction = Prediction(problem, halves)
+    without_gain, without_droop = prediction.of((1, 2)), prediction.of((0, 1))
+    assert [c.name for c in without_gain.effects] == ["stage.lag", "stage.droop"]
+    assert without_gain.u[1][0] == pytest.approx(TRUE[SCALE], abs=0.03)
+    assert without_droop.u[0][0] == pytest.approx(TRUE[SCALE], abs=0.03)
+    assert prediction.of((0, 2)).loss > without_gain.loss + 100  # nothing replaces the lag

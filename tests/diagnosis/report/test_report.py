@@ -265,6 +265,13 @@ def test_a_set_is_reported_whole_and_after_the_single_effects():
     assert cause == f"Missing in the simulator: arm.payload (mass 30 g), and {either}"
 
 
+def test_sets_that_explain_as_much_are_reported():
+    other = ("pressure.leak", "rail.gain")
+    case = diagnosis(verdict=verdict(effects=(DEAD_TIME, PAYLOAD), equal_sets=(other,)))
+    assert "The recordings fit as well: pressure.leak with rail.gain." in report.answer(case)[0]
+    assert "pressure.leak with rail.gain" in Page(report.render(case)).words
+
+
 def test_an_effect_without_confidence_is_shown_as_not_rated():
     bare = OTHER_DELAY.model_copy(update={"confidence": None})
     page = Page(report.render(named(DEAD_TIME, bare))).words

@@ -1,0 +1,56 @@
+"""Sets of effects that explain the recordings as well as the chosen set: smaller sets, and sets of the same size.
+
+A search that adds, removes or replaces single effects cannot find that one mass acts as a gain and a damping together.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.prediction import Prediction
+
+if TYPE_CHECKING:
+    from softarm.diagnosis.engine.search import Search
+
+FITTED_MAX = 6  # sets of one size that are fitted, the best by prediction
+
+
+def smallest(search: "Search", chosen: Fit, null_model: Fit) -> Fit:
+    """Return the smallest set to which the chosen one adds no gain, or the chosen set."""
+    for size in range(1, len(chosen.effects)):
+        alike = [
+            fit for fit in _fitted(search, chosen, null_model, size) if not search.is_gain(search.gain(fit, chosen))
+        ]
+        if alike:
+            return min(alike, key=lambda fit: float(fit.held_out.sum()))
+    return chosen
+
+
+def equals(search: "Search", chosen: Fit, null_model: Fit) -> tuple[Fit, ...]:
+    """Return sets as large as the chosen one that differ in two effects or more and explain as much, best first."""
+    if len(chosen.effects) < 2:
+        return ()
+    whole = search.gain(null_model, chosen)
+    found = [
+        (lack.value, fit)
+        for fit in _fitted(search, chosen, null_model, len(chosen.effects))
+        if search.is_equivalent(null_model, fit, lack := search.gain(fit, chosen), whole)
+    ]
+    return tuple(fit for _, fit in sorted(found, key=lambda each: each[0]))
+
+
+def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[Fit]:
+    """Return fits of the most promising sets of a size, without those at a bound or within tolerance."""
+    alone = search.extended(null_model)
+    fits: Sequence[Fit] = alone
+    if size > 1:
+        options = [fit.effects[0] for fit in alone if fit.names[0] not in chosen.names]
+        prediction = Prediction(search.problem, chosen, options)
+        members = combinations(range(len(prediction.effects)), size)
+        # The search has compared the subsets of the chosen set, and sets with one other effect.
+        shared_max = size - 2 if size == len(chosen.effects) else size - 1
+        predicted = [prediction.of(each) for each in members if each[shared_max] >= len(chosen.effects)]
+        best = sorted(predicted, key=lambda each: each.loss)[:FITTED_MAX]
+        fits = search.problem.fit([(each.effects, each.u) for each in best], search.thresholds.search.rounds)
+    return [fit for fit in fits if fit.exceeds_tolerance and not fit.at_bound]
