@@ -1,14 +1,36 @@
 """Data model of verdict.json. `python -m softarm.schemas.verdict` prints its JSON Schema."""
 
-from typing import Annotated, Final, Literal
+import math
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from softarm.schemas.base import Strict
 
 FORMAT: Final = 1
 
 Share = Annotated[float, Field(ge=0, le=1)]
+
+
+def _not_nan(x: float) -> float:
+    if math.isnan(x):
+        raise ValueError("the number is nan; give a finite or an infinite one")
+    return x
+
+
+def _open(end: float) -> tuple[Any, ...]:
+    """Return the annotations of a number that may be infinite; null in JSON stands for `end`."""
+    return (
+        Field(allow_inf_nan=True),
+        BeforeValidator(lambda x: end if x is None else x),
+        AfterValidator(_not_nan),
+        PlainSerializer(lambda x: x if math.isfinite(x) else None, when_used="json"),
+        WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]}),
+    )
+
+
+OpenAbove = Annotated[float, *_open(math.inf)]
+OpenBelow = Annotated[float, *_open(-math.inf)]
 
 
 class Interval(Strict):
@@ -20,8 +42,14 @@ class Interval(Strict):
 
 
 class Estimate(Interval):
-    """A parameter of an effect, in the registry's unit, or for a rig in the unit of its columns."""
+    """A parameter of an effect, in the registry's unit, or for a rig in the unit of its columns.
 
+    A bound is null if the data do not bound the parameter; the value is null for a limit that is absent.
+    """
+
+    value: OpenAbove
+    low: OpenBelow
+    high: OpenAbove
     unit: str
 
 

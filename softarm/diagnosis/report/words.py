@@ -14,7 +14,6 @@ HELD_OUT: dict[HeldOut | None, str] = {
     "block": "on held-out stretches of the same trials",
     None: "on held-out data",
 }
-_OPEN = 1e11  # a bound beyond this is no bound
 
 
 def change(before: Quantity, after: Quantity, arrow: str = " → ") -> str:
@@ -32,7 +31,7 @@ def corrected(diagnosis: Diagnosis, place: str) -> str:
 
 def interval(of: Interval, unit: str = "") -> str:
     """Return an estimate with its bounds, such as `61 ms (55 to 68)`, with as many digits as the interval deserves."""
-    if of.high >= _OPEN or of.low <= -_OPEN:
+    if math.isinf(of.high) or math.isinf(of.low):
         return _open(of, unit)
     all_three = (of.value, of.low, of.high)
     finite = [abs(v) for v in all_three if math.isfinite(v)]
@@ -47,11 +46,11 @@ def interval(of: Interval, unit: str = "") -> str:
 
 
 def _open(of: Interval, unit: str) -> str:
-    shown, factor = scaled(unit, of.value if abs(of.value) < _OPEN else of.low)
-    low, value, high = (number(v * factor) for v in (of.low, of.value, of.high))
-    if of.value >= _OPEN:
+    shown, factor = scaled(unit, of.value if math.isfinite(of.value) else of.low)
+    low, value, high = (number(v * factor) if math.isfinite(v) else "" for v in (of.low, of.value, of.high))
+    if math.isinf(of.value):
         return f"{low} {shown}".strip() + " or more"
-    tail = f"{low} or more" if of.low > -_OPEN else f"{high} or less" if of.high < _OPEN else "any"
+    tail = f"{low} or more" if low else f"{high} or less" if high else "any"
     return f"{value} {shown}".strip() + f" ({tail})"
 
 
@@ -64,7 +63,7 @@ def tolerance(of: CalibratedParameter) -> str:
 
 def size(of: Estimate) -> str:
     """Return an estimate without its interval, such as `61 ms`, or `20 N or more` for one without an upper bound."""
-    return _open(of, of.unit) if of.value >= _OPEN else quantity(of.value, of.unit)
+    return _open(of, of.unit) if math.isinf(of.value) else quantity(of.value, of.unit)
 
 
 def percents(of: Interval) -> str:
@@ -149,7 +148,7 @@ def sentence(text: str) -> str:
 
 def _plain_size(of: Estimate, declared: Parameter | None) -> str:
     """Return a size with degrees for radians, percent for shares, and a sign where either one is possible."""
-    if of.value >= _OPEN:
+    if math.isinf(of.value):
         return size(of)
     value, unit = (math.degrees(of.value), "°") if of.unit == "rad" else (of.value, of.unit)
     text = f"{number(100 * value, 2)} %" if unit == "-" else quantity(value, unit)

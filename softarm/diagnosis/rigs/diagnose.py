@@ -245,15 +245,15 @@ class _Stage:
         return tuple(dict.fromkeys((*names, *others)))
 
     def _estimates(self, effect: SelectedEffect) -> dict[str, Estimate]:
-        chosen = self.choice.chosen
-        at = chosen.names.index(effect.candidate.name)
-        first, bounds = sum(len(each.parameters) for each in chosen.effects[:at]), self.found.interval(chosen)
-        found = {}
-        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True), first):
+        fit, found = self.fit, {}
+        at = fit.names.index(effect.candidate.name)
+        first, bounds = sum(len(each.parameters) for each in fit.effects[:at]), self.found.interval(fit)
+        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, fit.u[at], strict=True), first):
             ends = [min(max(float(bound[i]), parameter.low), parameter.high) for bound in bounds]
             values = [parameter.value(x) for x in (u, *ends)]
-            value, low, high = (x if math.isfinite(x) else 1e12 for x in (values[0], min(values), max(values)))
-            found[parameter.path.rpartition(".")[2]] = Estimate(value=value, low=low, high=high, unit=parameter.unit)
+            found[parameter.path.rpartition(".")[2]] = Estimate(
+                value=values[0], low=min(values), high=max(values), unit=parameter.unit
+            )
         return found
 
     def _warnings(self) -> list[str]:

@@ -12,6 +12,8 @@ from softarm.diagnosis.data import stage_file
 from softarm.schemas.verdict import Verdict
 
 _HEADER = "# Nominal model with the findings of a diagnosis. --data names the folder of its tables.\n"
+# Written in place of infinity, in any unit.
+ABSENT = 1e12
 _LINK = re.compile(r"(inertia|mass)(\d+)")  # calibrated change of one link of a chain, relative
 
 
@@ -65,5 +67,5 @@ def _each(value: float | Iterable[float], links: int) -> list[float]:
 
 
 def _short(value: float) -> float:
-    """Return a value with seven significant digits."""
-    return float(f"{value:.7g}")
+    """Return a value with seven significant digits; an absent limit as a finite one that nothing reaches."""
+    return float(f"{min(value, ABSENT):.7g}")
