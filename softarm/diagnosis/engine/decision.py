@@ -25,7 +25,7 @@ class Decision:
     unexplained: Energies  # explainable energy that no named effect explains
     explained: float  # share of the explainable energy that the named effects explain
     structure: Mapping[str, str] = field(default_factory=dict)  # stage -> structure in the residual that needs a cause
-    unresolved: tuple[SelectedEffect, ...] = ()  # causes after the first that the data do not resolve
+    unresolved: tuple[SelectedEffect, ...] = ()  # causes that the data do not resolve next to the others
     equal_sets: tuple[tuple[str, ...], ...] = ()  # names of other sets that explain as much as all named effects
 
 
@@ -57,7 +57,9 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     rest = remainder(choice, evidence, thresholds)
     causes = tuple(effect for effect in choice.selected if is_cause(effect, choice, rest, thresholds))
     fallen = tuple(effect for effect in choice.selected if effect not in causes)
-    unresolved = tuple(effect for effect in causes[1:] if effect.candidate.name in evidence.unresolved)
+    unresolved = tuple(effect for effect in causes if effect.candidate.name in evidence.unresolved)
+    if len(unresolved) == len(causes):  # the gap has a cause, and nothing explains it better than the first
+        unresolved = unresolved[1:]
     selected = tuple(effect for effect in causes if effect not in unresolved)
     taken = _added({stage: max(evidence.tolerated.get(stage, 0.0), 0.0) for stage in rest.left}, selected)
     structure = _structure(evidence, rest, taken, thresholds)

@@ -136,17 +136,28 @@ class Examination:
 
     @cached_property
     def unresolved(self) -> frozenset[str]:
-        """Return the chosen effects whose interval contains the model's own value, or which no sample reaches."""
-        chosen, found, first = self.choice.chosen, set(), 0
-        if len(chosen.effects) < 2:
-            return frozenset()
-        low, high = self.interval(chosen)
-        for i, effect in enumerate(chosen.effects):
+        """Return the chosen effects that the data do not resolve.
+
+        The interval of such an effect contains the model's own value, or no sample reaches the effect. The others'
+        intervals change without it, so the one with the smallest gain is left out until all others are resolved.
+        """
+        gains = {effect.candidate.name: effect.gain.value for effect in self.choice.selected}
+        fit, found = self.choice.chosen, set[str]()
+        while len(fit.effects) > 1 and (open_ones := self._open(fit)):
+            found.add(min(open_ones, key=lambda name: gains.get(name, 0.0)))
+            fit = self.verdict_problem.part(fit, [i for i, name in enumerate(fit.names) if name not in found])
+        return frozenset(found)
+
+    def _open(self, fit: Fit) -> list[str]:
+        """Return the effects of a fit whose interval contains the model's own value, or which no sample reaches."""
+        found, first = [], 0
+        low, high = self.interval(fit)
+        for i, effect in enumerate(fit.effects):
             ends = zip(effect.parameters, low[first:], high[first:], strict=False)
             first += len(effect.parameters)
-            if all(d.shape or a <= d.nominal <= b for d, a, b in ends) or not self._is_reached(chosen, i):
-                found.add(effect.name)
-        return frozenset(found)
+            if all(d.shape or a <= d.nominal <= b for d, a, b in ends) or not self._is_reached(fit, i):
+                found.append(effect.name)
+        return found
 
     def _is_reached(self, fit: Fit, i: int) -> bool:
         """Return whether any sample's prediction changes if an effect of a fit goes back to the model's own value."""

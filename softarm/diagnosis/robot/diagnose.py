@@ -113,16 +113,16 @@ def _regime(comparison: Comparison, found: Examination, stage: str | None) -> st
 
 def _named_effects(comparison: Comparison, found: Examination, decided: Decided) -> list[NamedEffect]:
     """Return the named effects with their sizes and shrinks."""
-    chosen, without = found.choice.chosen, found.without_each(decided.fit)
-    low, high = found.interval(chosen)
-    fitted = [u for each in chosen.u for u in each]
+    fit, without = decided.fit, found.without_each(decided.fit)
+    low, high = found.interval(fit)
+    fitted = [u for each in fit.u for u in each]
     effects = []
     for effect in decided.decision.selected:
         name = effect.candidate.name
-        first = sum(len(c.parameters) for c in chosen.effects[: chosen.names.index(name)])
+        first = sum(len(c.parameters) for c in fit.effects[: fit.names.index(name)])
         parameters = {}
         for i, parameter in enumerate(effect.candidate.parameters, first):
-            value = chosen.point[parameter.path]
+            value = fit.point[parameter.path]
             ends = _with_tolerance(parameter, fitted[i], low[i], high[i])
             if np.isfinite(value):
                 finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]

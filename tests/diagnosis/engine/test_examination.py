@@ -14,7 +14,7 @@ from tests.diagnosis.engine.gauge import Gauge
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
-STOP = "stage.stop.depth"
+STOP, TWIN = "stage.stop.depth", "stage.twin.size"
 TRUTH = {SWING: 0.8, LEVEL: 0.2}
 KINDS = ("slow", "fast", "both")
 
@@ -28,7 +28,7 @@ def _candidate(path, *starts):
 class _View(Gauge):
     """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
 
-    acts = frozenset({SWING, LEVEL, BIAS, STOP})
+    acts = frozenset({SWING, LEVEL, BIAS, STOP, TWIN})
 
     def __post_init__(self):
         t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -42,7 +42,8 @@ class _View(Gauge):
 
     def _predict(self, point):
         level = point.get(LEVEL, 0.0) * self.level
-        reading = point.get(SWING, 0.0) * self.swing + level + point.get(BIAS, 0.0)
+        twin = point.get(TWIN, 0.0) * (self.swing + 1e-3 * np.cos(self.t_s))
+        reading = point.get(SWING, 0.0) * self.swing + twin + level + point.get(BIAS, 0.0)
         return np.maximum(reading, point.get(STOP, 0.0) - 9.0)  # a stop that no sample reaches
 
 
@@ -93,7 +94,17 @@ def test_an_effect_is_resolved_if_its_interval_excludes_the_models_value_and_a_s
     assert _unresolved(found, fit) == {"stage.level"}  # the model has this level already
 
 
+def test_of_two_effects_that_only_their_sum_resolves_one_stays(found):
+    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
+    (fit,) = found.search.problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
+    low, high = found.interval(fit)
+    assert ((low < 0) & (high > 0)).tolist() == [True, False, True]
+    assert _unresolved(found, fit) == {"stage.twin"}
+    low, _ = found.interval(found.verdict_problem.part(fit, [0, 1]))
+    assert low.min() > 0
+
+
 def _unresolved(found, fit):
     found.choice = replace(found.choice, chosen=fit)
-    found.__dict__.pop("unresolved")
+    found.__dict__.pop("unresolved", None)
     return found.unresolved
