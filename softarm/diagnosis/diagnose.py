@@ -7,13 +7,19 @@ from threadpoolctl import threadpool_limits
 
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.engine.search import Progress
+from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.robot.diagnose import diagnose_robot
 from softarm.schemas.model import Model
 
+BUDGET_S = 120.0
+
 
 def diagnose(
-    trials: Sequence[Trial], model: Model | None = None, progress: Progress | None = None, processes: int = 1
+    trials: Sequence[Trial],
+    model: Model | None = None,
+    progress: Progress | None = None,
+    processes: int = 1,
+    budget_s: float = BUDGET_S,
 ) -> Diagnosis:
     """Find where robot and simulator differ, by which effects, and how far the gap shrinks with them.
 
@@ -24,6 +30,7 @@ def diagnose(
         model: nominal model of the robot, by default the seed's; a rig's tables bring their own.
         progress: called with the current step and the finished share, 0 to 1.
         processes: number of a rig's stages that are diagnosed at the same time.
+        budget_s: processor time for a rig, s; of longer recordings only the most informative stretches are used.
 
     Raises:
         TrialError: there are no trials, or trials of the robot and of rigs, or nothing can be compared.
@@ -41,7 +48,7 @@ def diagnose(
             from softarm.diagnosis.rigs.diagnose import diagnose_table
             from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-            return in_owners_units(diagnose_table(ordered, report, processes), ordered)
+            return in_owners_units(diagnose_table(ordered, report, processes, budget_s), ordered)
         return diagnose_robot(ordered, model or Model(), report)
 
 

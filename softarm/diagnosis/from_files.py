@@ -8,9 +8,9 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.folder import is_trial
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.data.trials import Trial, TrialError, unique_names
-from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.diagnose import BUDGET_S, diagnose
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.engine.search import Progress
+from softarm.diagnosis.engine.work import Progress
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 
@@ -24,6 +24,7 @@ def diagnose_files(
     data: Path | None = None,
     progress: Progress = lambda what, share: None,
     warn: Callable[[str], None] = lambda text: None,
+    budget_s: float = BUDGET_S,
 ) -> Diagnosis:
     """Diagnose logs, trial folders, campaigns or the stage.yaml of a rig.
 
@@ -33,6 +34,7 @@ def diagnose_files(
         data: folder of the files of a stage.yaml, by default its own.
         progress: called with the current step and the finished share, 0 to 1.
         warn: called with a text for the user.
+        budget_s: processor time for a rig, s; of longer recordings only the most informative stretches are used.
 
     Raises:
         TrialError: the inputs cannot be compared, or their campaigns have different models.
@@ -49,7 +51,11 @@ def diagnose_files(
         if nominal is None:
             warn("no --model and no model.yaml with the trials: the seed's simulator is the nominal model")
             nominal = Model()
-    return diagnose(trials, nominal, lambda what, share: progress(what, _READING + share * (1 - _READING)), cores())
+
+    def later(what: str, share: float) -> None:
+        progress(what, _READING + share * (1 - _READING))
+
+    return diagnose(trials, nominal, later, cores(), budget_s)
 
 
 def _read(inputs: Sequence[Path], data: Path | None, on_trial: Callable[[Path], None]) -> tuple[Trial, ...]:

@@ -31,6 +31,15 @@ if TYPE_CHECKING:
 @click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
 @click.option("--patch", "patch_file", type=FILE, help="Write the model with effects and calibration to this file.")
 @click.option("--calibration/--no-calibration", default=True, help="Write the calibration to the patch as well.")
+@click.option(
+    "--budget",
+    "budget_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=120.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Processor time for another rig; of longer recordings the most informative stretches are used.",
+)
 @limits_option
 def diagnose(
     inputs: tuple[Path, ...],
@@ -40,6 +49,7 @@ def diagnose(
     report_file: Path | None,
     patch_file: Path | None,
     calibration: bool,
+    budget_s: float,
     limits_file: Path | None,
 ) -> None:
     """Find the effect that a simulator lacks, from recordings of the robot.
@@ -71,7 +81,7 @@ def diagnose(
     check_places(json_file, report_file, patch_file, limits_file)
     leaves(NOTHING)
     with failing(TrialError, models.ModelFileError), bar("reading") as shown:
-        result = diagnose_files(inputs, model_file, data, shown.report, warn)
+        result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
     written = []
     stage_files = [path for path in inputs if path.suffix in TABLES]
     patched = result.calibrated if calibration else result.patched

@@ -12,12 +12,13 @@ from softarm.diagnosis.engine.ceiling import explainable
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Choice, Progress, Search
+from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
+from softarm.diagnosis.engine.work import Progress
 
 REACHED = 0.01  # change of a sample, in noise floors, from which it shows an effect
 FLEXIBLE_MIN = 0.6  # energy above which a flexible model is worth its time; up to 1 it changes no decision

@@ -3,19 +3,20 @@
 Every comparison is between nested fits with the same nuisances, on held-out blocks.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from softarm.diagnosis.engine import equal_sets, resample
+from softarm.diagnosis.engine import equal_sets, resample, work
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.work import Progress, Work
 
 EFFECTS_MAX = 3  # effects of a forward search
 SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
@@ -24,8 +25,6 @@ EQUAL = 0.5  # held-out loss that counts as no difference
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
 POLISH, SETTLED = 4, 0.005  # further descents of a backward search, and the relative gain that ends them
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +81,7 @@ class Search:
         self._extended: dict[frozenset[str], list[Fit]] = {}  # base names -> fits with one more effect
         self._reduced: dict[tuple[tuple[str, ...], Coordinates], list[Fit]] = {}
         self._settled: dict[str, tuple[float, ...]] = {}  # coordinates of the chosen effects
+        self._work = Work(lambda text, share: None)
 
     def run(self, progress: Progress) -> Choice:
         """Return the chosen effects; the search is deterministic."""
@@ -124,7 +124,9 @@ class Search:
 
     def backward(self, null_model: Fit, progress: Progress) -> Fit:
         """Fit all effects at once and remove those that are unnecessary, at a bound or within tolerance."""
-        progress("fitting all effects at once", 0.0)
+        self._work = Work(progress)
+        for residual in self.problem.whitened:
+            residual.gaps.on_rollouts = self._work.count
         pool = self.candidates
         fit = self.pruned(self.full(null_model, pool))
         for _ in range(RESTARTS):  # an effect at its bound replaced others: repeat without it
@@ -134,7 +136,6 @@ class Search:
             pool = tuple(c for c in pool if c is not bound[0])
             fit = self.pruned(self.full(null_model, pool))
         while fit.effects:
-            progress(f"removing effects from {len(fit.effects)}", 0.5)
             pinned = [
                 i
                 for i, each in enumerate(fit.effects)
@@ -152,6 +153,9 @@ class Search:
         """Fit all effects at once from several starts and return the best fit."""
         rounds = self.thresholds.search.rounds
         every = tuple(candidates)
+        count, parameters = len(every), _parameters(every)
+        whole = work.full(parameters)
+        self._work.begin("fitting all effects at once", whole, work.backward(count, parameters) - whole)
         started = [(every, tuple(_moved(c, size) for c in every)) for size in SIZES]
         fit = min(self._rough.fit(started, rounds), key=lambda f: f.loss)
         for _ in range(POLISH):
@@ -255,12 +259,18 @@ class Search:
     def pruned(self, fit: Fit) -> Fit:
         """Remove effects that the others do not need."""
         while len(fit.effects) > 1:
+            self._begin_removal(fit)
             gains = [(self.gain(less, fit), less) for less in self.reduced(fit)]
             weak = [(g.value, less) for g, less in gains if not self.is_gain(g) or self.is_correction(less, g)]
             if not weak:
                 return fit
             fit = min(weak, key=lambda each: each[0])[1]
         return fit
+
+    def _begin_removal(self, fit: Fit) -> None:
+        count, parameters = len(fit.effects), _parameters(fit.effects)
+        own, before = work.reduced(count, parameters), work.full(parameters)
+        self._work.begin(f"removing effects from {count}", own, work.backward(count, parameters) - before - own)
 
     def swapped(self, fit: Fit) -> Fit:
         """Replace single effects by rivals as long as the set improves."""
@@ -351,6 +361,10 @@ def bootstrap(difference: Array) -> tuple[float, float]:
 def tempered(fit: Fit) -> Array:
     """Return the held-out losses by block, with a logarithm beyond the usual loss of a block."""
     return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
+
+
+def _parameters(effects: EffectSet) -> int:
+    return sum(len(each.parameters) for each in effects)
 
 
 def _without(fit: Fit, i: int) -> tuple[EffectSet, Coordinates]:

@@ -49,7 +49,13 @@ class Gaps:
 
     def __init__(self, view: View) -> None:
         self.view = view
-        self._cache = Cache(lambda keys: view.gap([dict(key) for key in keys]))
+        self.on_rollouts: Callable[[int], None] = lambda rollouts: None  # called with the number of new simulations
+        self._cache = Cache(self._simulate)
+
+    def _simulate(self, keys: list[Key]) -> NDArray[np.float32]:
+        found = self.view.gap([dict(key) for key in keys])
+        self.on_rollouts(len(keys))
+        return found
 
     def key(self, point: Point) -> Key:
         """Return the part of a point that acts on the view."""

@@ -22,13 +22,15 @@ from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Rival, Unexplained
-from softarm.diagnosis.engine.search import Progress, SelectedEffect
+from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs import experiments
+from softarm.diagnosis.engine.work import Progress
+from softarm.diagnosis.rigs import experiments, subsample
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
+from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
@@ -42,6 +44,8 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView]] = {
     "chain": ChainView,
 }
 
+# Shares of a stage's time at which its search begins and ends.
+BEGUN, SEARCHED = 0.05, 0.9
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
 _WEAK_HELD_OUT = {
@@ -69,7 +73,10 @@ class Finding:
 
 
 def diagnose_table(
-    trials: Sequence[Trial], report: Progress = lambda text, share: None, processes: int = 1
+    trials: Sequence[Trial],
+    report: Progress = lambda text, share: None,
+    processes: int = 1,
+    budget_s: float = math.inf,
 ) -> Diagnosis:
     """Diagnose every stage of a rig's trials on its own; the result is deterministic.
 
@@ -77,6 +84,7 @@ def diagnose_table(
         trials: trials read from a stage.yaml.
         report: called with the current step and the finished share, 0 to 1.
         processes: number of stages diagnosed at the same time.
+        budget_s: processor time for all stages together, s; of longer recordings only stretches are used.
 
     Raises:
         TrialError: if a trial lacks a column, or its model a value.
@@ -88,7 +96,14 @@ def diagnose_table(
     names = sorted(own)
     report(names[0], 0.0)
     found: dict[str, Finding] = {}
-    for _, finding in as_they_come(examine, [own[name] for name in names], processes):
+    work = partial(examine, budget_s=budget_s / len(names))
+    if processes == 1 or len(names) == 1:  # another process cannot report its steps
+
+        def within(text: str, share: float) -> None:
+            report(text, (len(found) + BEGUN + (SEARCHED - BEGUN) * share) / len(names))
+
+        work = partial(work, report=within)
+    for _, finding in as_they_come(work, [own[name] for name in names], processes):
         found[finding.answer.stage] = finding
         report(finding.answer.stage, len(found) / len(names))
     stages = [found[name] for name in names]
@@ -130,21 +145,28 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
 
 def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[int, ...]]:
     """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from."""
-    view = VIEWS[stage_of(trials).kind]
-    cut = [(k, window) for k, trial in enumerate(trials) for window in view.windows(trial)]
-    windows = tuple(window for _, window in cut)
-    return view(windows), windows, tuple(k for k, _ in cut)
+    kind = VIEWS[stage_of(trials).kind]
+    found = Stretches(tuple(trials), tuple(range(len(trials)))).windows(kind.windows)
+    return kind(found.trials), found.trials, found.origins
 
 
-def examine(trials: Sequence[Trial]) -> Finding:
-    """Diagnose one stage from all its trials."""
+def examine(
+    trials: Sequence[Trial], budget_s: float = math.inf, report: Progress = lambda text, share: None
+) -> Finding:
+    """Diagnose one stage from its trials, or from the most informative stretches if the budget binds."""
     view, ordered, origins = view_of(trials)
+    notes: tuple[str, ...] = ()
+    build = VIEWS[stage_of(trials).kind]
+    if (reduced := subsample.within(budget_s, view, Stretches(ordered, origins), build)) is not None:
+        used, note = reduced
+        view, ordered, origins, notes = build(used.trials), used.trials, used.origins, (note,)
     kinds = [t.kind for t in ordered]
     setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
-    thresholds = WINDOWED if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
+    thresholds = WINDOWED if view.fits_starts and len(set(origins)) >= TRIALS_LEAST else RIG
     thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
-    found = Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None, partial(widened, view))
-    return _Stage(view, ordered, origins, found).finding()
+    found = Examination(setup, candidates(view), kinds, thresholds, report, partial(widened, view))
+    finding = _Stage(view, ordered, origins, found).finding()
+    return replace(finding, warnings=(*notes, *finding.warnings))
 
 
 def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:

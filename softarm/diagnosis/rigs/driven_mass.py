@@ -69,6 +69,8 @@ class _Motion:
 class DrivenMassView(RigView):
     """View from the input to the position, or to the velocity if no position was recorded; all trials of one stage."""
 
+    step_cost_s = 1.0e-6  # 0.4e-6 unless friction bends
+
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one driven mass; raise TrialError if one lacks a column, or nothing drives it."""
         stage = stage_of(trials)

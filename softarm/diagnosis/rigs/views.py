@@ -63,11 +63,14 @@ class RigView:
         fits_starts: whether the start of every window is fitted at every point.
         restarts_few_effects: whether models with few effects are also fitted from their own starting values
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
+        step_cost_s: processor time of a search per rollout and integration step, s; measured once.
     """
 
     block_s = BLOCK_S
     fits_starts = False
     restarts_few_effects = False
+    step_cost_s = 0.07e-6
+    _each = 1  # integration steps per sample
     _known: dict[str, float]
 
     def __init__(
@@ -107,6 +110,11 @@ class RigView:
     def windows(cls, trial: Trial) -> tuple[Trial, ...]:
         """Cut a trial into the windows that the view is made of; the start of each window is fitted."""
         return (trial,)
+
+    @property
+    def rollout_s(self) -> float:
+        """Processor time that a search takes per rollout, s, on the computer of `step_cost_s`."""
+        return self.step_cost_s * self._each * len(self.t_s)
 
     @property
     def warnings(self) -> tuple[str, ...]:

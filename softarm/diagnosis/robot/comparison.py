@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Progress
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, Cache, blocks_of
+from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.robot.candidates import nuisances
 from softarm.diagnosis.robot.chain import tip_gap
 from softarm.diagnosis.robot.drive import with_identified_drive

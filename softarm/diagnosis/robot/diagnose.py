@@ -15,10 +15,11 @@ from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind, stage_of, stage_shares
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.result import Diagnosis, Unexplained
-from softarm.diagnosis.engine.search import Choice, Progress
+from softarm.diagnosis.engine.search import Choice
 from softarm.diagnosis.engine.shrink import widened
 from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.robot import experiments, regime
 from softarm.diagnosis.robot.calibration import calibrated_tip, with_calibration
 from softarm.diagnosis.robot.candidates import candidates

@@ -28,7 +28,7 @@ def asked(monkeypatch):
     """Replace the diagnosis and return its settings."""
     asked = SimpleNamespace(nominal=Model())
 
-    def diagnose(trials, model, progress=None, processes=1):
+    def diagnose(trials, model, progress=None, processes=1, budget_s=120.0):
         return Diagnosis(NONE, asked.nominal, None, (("a", "seed", 1.0),))
 
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)

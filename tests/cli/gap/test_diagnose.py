@@ -69,8 +69,8 @@ def asked(monkeypatch):
     """Replace the diagnosis and return its settings and inputs."""
     asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), calibrated=WHOLE, trials=None, model=None)
 
-    def diagnose(trials, model, progress=None, processes=1):
-        asked.trials, asked.model = trials, model
+    def diagnose(trials, model, progress=None, processes=1, budget_s=120.0):
+        asked.trials, asked.model, asked.budget_s = trials, model, budget_s
         progress("fitting", 0.5)
         t = np.arange(30) / 30
         overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
@@ -90,7 +90,9 @@ def test_diagnose_writes_verdict_report_and_patch_and_prints_the_answer(asked, t
     assert Verdict.model_validate_json(places[0].read_text()) == NAMED
     assert places[1].read_text(encoding="utf-8").startswith("<!doctype html>")
     assert model_file.load(places[2]) == WHOLE
-    assert invoke("diagnose", campaign, "--no-calibration", "--patch", places[2]).exit_code == 0
+    assert asked.budget_s == 120.0
+    assert invoke("diagnose", campaign, "--no-calibration", "--patch", places[2], "--budget", 30).exit_code == 0
+    assert asked.budget_s == 30.0
     assert model_file.load(places[2]) == asked.patched
     output = " ".join(outcome.output.split())
     assert "the regulator starts to react late), delay 60 ms (50 to 70)." in output

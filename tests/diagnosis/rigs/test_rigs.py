@@ -193,7 +193,10 @@ def test_dead_band_and_droop_of_a_servo_are_named():
         command = {"multisine": tone(T, i), "steps": steps, "slow": slow}[kind]
         seen = np.nan_to_num(follow(truth, command), nan=0.0)
         trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
-    diagnosis = diagnose_table(trials)
+    shares: list[float] = []
+    diagnosis = diagnose_table(trials, lambda text, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert len({round(share, 1) for share in shares}) > 7  # it moves during the search
     found = {e.name: e for e in diagnosis.verdict.effects}
     together, gap = diagnosis.total_shrink["servo"], diagnosis.verdict.gap
     assert together.value == pytest.approx(1 - gap.after["servo"].value / gap.before["servo"].value, abs=1e-6)

@@ -46,6 +46,8 @@ ANGLE_SHARE, RATE_SHARE = 0.1, 0.15
 LOST_STEPS = 1.5
 # Effects whose tolerances are tried for unstable windows; a constant effect would move a link at rest as much.
 _TRIED = ("stiffness", "inertia", "gain")
+# Processor time of a search per rollout, step and link, s.
+LINK_COST_S = 0.6e-6
 _Side = Literal["before", "after"]
 # Largest turn of a held joint's spring in one step, rad.
 RESOLVED = 1.0
@@ -61,6 +63,7 @@ class ChainView(RigView):
         """Prepare the windows of one chain; raise TrialError if its model has the wrong number of values."""
         stage = stage_of(trials)
         self._chain = chain = chain_of(stage)
+        self.step_cost_s = LINK_COST_S * chain.n
         names = tuple(f"angle{i}" for i in range(1, chain.n + 1))
         fastest, _ = _periods(chain, trials)
         self._fastest_s = fastest

@@ -1,0 +1,57 @@
+"""Planned and finished work of a search, in rollouts: simulations of all data at one point.
+
+Counts come before the search, from the numbers of effects and parameters alone, so that the same data have the same
+plan on every machine. The two constants were counted on simulated rigs of all kinds, whose searches took 0.7 to 1.3
+times their plan.
+"""
+
+from collections.abc import Callable
+
+Progress = Callable[[str, float], None]
+
+FULL, REDUCED = 30.0, 5.5  # rollouts per parameter of a fit of all effects, and of a fit without one of them
+
+
+def full(parameters: int) -> float:
+    """Return the usual number of rollouts that fit all effects at once, from several starts."""
+    return FULL * (1 + parameters)
+
+
+def reduced(effects: int, parameters: float) -> float:
+    """Return the usual number of rollouts that fit a set without each of its effects."""
+    return REDUCED * effects * (1 + parameters)
+
+
+def backward(effects: int, parameters: int) -> float:
+    """Return the usual number of rollouts of a search backward from all effects."""
+    share = parameters / max(effects, 1)
+    return full(parameters) + sum(reduced(n, share * n) for n in range(2, effects + 1))
+
+
+class Work:
+    """Progress of a search by finished steps, each with a planned number of rollouts."""
+
+    def __init__(self, report: Progress) -> None:
+        """Begin without a plan; `report` gets the current step and the finished share, 0 to 1."""
+        self._report = report
+        self._done, self._step, self._counted, self._left = 0.0, 0.0, 0.0, 0.0
+        self._text = ""
+
+    def begin(self, text: str, rollouts: float, further: float) -> None:
+        """Begin a step, which finishes the one before.
+
+        Args:
+            text: step in words.
+            rollouts: planned rollouts of the step.
+            further: planned rollouts after it.
+        """
+        self._done += self._step
+        self._text, self._step, self._counted, self._left = text, rollouts, 0.0, further
+        self.count(0)
+
+    def count(self, rollouts: int) -> None:
+        """Count finished rollouts of the current step."""
+        self._counted += rollouts
+        done, total = self._done + min(self._counted, self._step), self._done + self._step + self._left
+        if total > 0:
+            self._report(self._text, done / total)
