@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, point_of
 from softarm.diagnosis.engine.ceiling import explainable
@@ -150,13 +151,21 @@ class Examination:
         return frozenset(found)
 
     def _open(self, fit: Fit) -> list[str]:
-        """Return the effects of a fit whose interval contains the model's own value, or which no sample reaches."""
+        """Return the effects of a fit that may have the model's own value, or that no sample reaches.
+
+        Each parameter's interval contains the own value, and so does the region of all parameters together: gain and
+        offset of a reading may be uncertain while both together are not.
+        """
         found, first = [], 0
         low, high = self.interval(fit)
+        _, best, spread = self.search.problem.region(fit, self.thresholds.approximate)
+        nominal = np.array([d.nominal for each in fit.effects for d in each.parameters])
         for i, effect in enumerate(fit.effects):
-            ends = zip(effect.parameters, low[first:], high[first:], strict=False)
+            own = [j for j, d in enumerate(effect.parameters, first) if not d.shape]
             first += len(effect.parameters)
-            if all(d.shape or a <= d.nominal <= b for d, a, b in ends) or not self._is_reached(fit, i):
+            apart = any(not low[j] <= nominal[j] <= high[j] for j in own)
+            apart = apart or (len(own) > 1 and _excludes((best - nominal)[own], spread[np.ix_(own, own)]))
+            if not apart or not self._is_reached(fit, i):
                 found.append(effect.name)
         return found
 
@@ -204,3 +213,16 @@ class Examination:
     def null_residuals(self) -> dict[str, NDArray[np.float32]]:
         """Return the residuals with the nuisances alone by stage, [M, S]."""
         return dict(zip(self.stages, self.setup.residuals(self.plain, self.choice.null_model), strict=True))
+
+
+def _excludes(change: Array, spread: Array) -> bool:
+    """Return whether the joint 95 % region of some parameters excludes no change.
+
+    Args:
+        change: changes of the parameters, [k].
+        spread: their covariance, scaled so that the root of its diagonal is half a 95 % interval, [k, k].
+    """
+    if not np.isfinite(spread).all():
+        return False
+    wider = float(chdtri(len(change), 0.05) / chdtri(1, 0.05))
+    return float(change @ np.linalg.lstsq(spread, change, rcond=None)[0]) > wider

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.candidates import Coordinates, EffectSet, point_of, split
 from softarm.diagnosis.engine.held_out import Block, BlockSums, simulated_losses
-from softarm.diagnosis.engine.jackknife import RIDGE, half_width
+from softarm.diagnosis.engine.jackknife import RIDGE, covariance
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
 
@@ -45,6 +45,11 @@ class Fit:
     def names(self) -> tuple[str, ...]:
         """Return the names of the effects."""
         return tuple(each.name for each in self.effects)
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Return the usual changes of the parameters, [p]."""
+        return tuple(d.size for each in self.effects for d in each.parameters)
 
     @property
     def point(self) -> Point:
@@ -307,34 +312,40 @@ class FitProblem:
         return normal, slope, *self._box(fit.effects, x)
 
     def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
-        """Return the 95 % interval of a fit's parameters, low and high, [p] each.
+        """Return the 95 % interval of a fit's parameters, low and high, [p] each; arguments as for `region`."""
+        x, best, spread = self.region(fit, inexact)
+        half, least = np.sqrt(spread.diagonal()), LEAST_WIDTH * np.array(fit.sizes)
+        return np.minimum(best - half, x - least), np.maximum(best + half, x + least)
+
+    def region(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array, Array]:
+        """Return a fit's parameters [p], those of its last linearisation [p], and their covariance, [p, p].
+
+        The root of the covariance's diagonal is half the 95 % interval.
 
         Args:
             fit: fit whose parameters are meant.
-            inexact: widen the interval by the law error that the residual may hide.
+            inexact: widen the region by the law error that the residual may hide.
         """
         x = np.array([v for us in fit.u for v in us])
         p = len(x)
         if not p:
-            return x, x
+            return x, x, np.zeros((0, 0))
         ((jacobians, bases),) = self._linear([fit.effects], [x])
         normal, slope, _ = self._by_block(p, jacobians, bases)
         low, high = self._box(fit.effects, x)
-        sizes = np.array([d.size for each in fit.effects for d in each.parameters])
         best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
         free = (best > low + 1e-9) & (best < high - 1e-9)  # nuisances at an edge stay there
         free[:p] = True
         slope = slope + normal[:, :, ~free] @ best[~free]
-        half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
+        spread = covariance(normal[:, free][:, :, free], slope[:, free], best[free])[:p, :p]
         if inexact:
-            half = np.hypot(half, self._law_error(fit.effects, best, normal.sum(axis=0), jacobians, bases))
-        least = LEAST_WIDTH * sizes
-        return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)
+            spread = spread + self._law_error(fit.effects, best, normal.sum(axis=0), jacobians, bases)
+        return x, x + best[:p], spread
 
     def _law_error(
         self, effects: EffectSet, best: Array, normal: Array, jacobians: list[Rows], bases: list[Moments]
     ) -> Array:
-        """Return each parameter's error [p] if the residual hides a law that resembles its effect.
+        """Return the parameters' squared errors [p, p] if the residual hides a law that resembles an effect.
 
         Only the autocorrelated part of the residual counts; noise has none but by chance. The nuisances yield within
         their boxes. best: [p + q] minimum of the last linearisation; normal: its matrix.
@@ -351,7 +362,7 @@ class FitProblem:
         kept = np.concatenate((np.ones(p, dtype=bool), reach > 0))
         held = normal[kept][:, kept] + np.diag(np.concatenate((np.zeros(p), left / reach[reach > 0] ** 2)))
         held += RIDGE * held.diagonal().max() * np.eye(len(held))
-        return np.asarray(np.sqrt(left * np.linalg.inv(held).diagonal()[:p]))
+        return np.asarray(left * np.linalg.inv(held)[:p, :p])
 
     def _late(self) -> NDArray[np.bool_]:
         """Return which blocks are in the second half of their trial, [B]."""

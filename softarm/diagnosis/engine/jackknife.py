@@ -14,7 +14,14 @@ RIDGE = 1e-10  # of the largest diagonal entry; an invisible parameter gets no e
 
 
 def half_width(normal: Array, slope: Array, solution: Array) -> Array:
-    """Return half the 95 % interval of each unknown, [k], by Student's t; infinite for a single block.
+    """Return half the 95 % interval of each unknown, [k]; arguments as for `covariance`."""
+    return np.asarray(np.sqrt(covariance(normal, slope, solution).diagonal()))
+
+
+def covariance(normal: Array, slope: Array, solution: Array) -> Array:
+    """Return the covariance of the unknowns, [k, k], times the square of Student's t for 95 %.
+
+    The root of its diagonal is half the interval of each unknown; it is infinite for a single block.
 
     Args:
         normal: normal matrices of the blocks, [B, k, k].
@@ -23,8 +30,8 @@ def half_width(normal: Array, slope: Array, solution: Array) -> Array:
     """
     blocks = len(normal)
     if blocks < 2:
-        return np.full(len(solution), np.inf)
+        return np.diag(np.full(len(solution), np.inf))
     total = normal.sum(axis=0)
     without = total - normal + RIDGE * total.diagonal().max() * np.eye(len(total))
     moved = np.linalg.solve(without, (slope + normal @ solution)[:, :, None])[:, :, 0]
-    return np.asarray(stdtrit(blocks - 1, 0.975) * np.sqrt((blocks - 1) / blocks * (moved**2).sum(axis=0)))
+    return np.asarray(stdtrit(blocks - 1, 0.975) ** 2 * (blocks - 1) / blocks * (moved.T @ moved))

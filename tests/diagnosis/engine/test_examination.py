@@ -104,6 +104,21 @@ def test_of_two_effects_that_only_their_sum_resolves_one_stays(found):
     assert low.min() > 0
 
 
+def test_parameters_of_one_effect_that_only_their_sum_resolves_are_resolved(found):
+    pair = Candidate("stage.pair", "stage", tuple(_candidate(path, 0.3).parameters[0] for path in (SWING, TWIN)), ())
+    (fit,) = found.search.problem.fit([((pair, _candidate(LEVEL, 0.3)), ((0.5, 0.3), (0.2,)))], rounds=1)
+    low, high = found.interval(fit)
+    assert ((low < 0) & (high > 0)).tolist() == [True, True, False]
+    assert _unresolved(found, fit) == frozenset()
+    (fit,) = found.search.problem.fit([((pair, _candidate(LEVEL, 0.3)), ((0.8, -0.8), (0.2,)))], rounds=1)
+    nothing = replace(fit, effects=(_moved(pair, 0.4), fit.effects[1]))
+    assert _unresolved(found, nothing) == {"stage.pair"}  # the model has their sum already
+
+
+def _moved(effect, nominal):
+    return replace(effect, parameters=tuple(replace(each, nominal=nominal) for each in effect.parameters))
+
+
 def _unresolved(found, fit):
     found.choice = replace(found.choice, chosen=fit)
     found.__dict__.pop("unresolved", None)
