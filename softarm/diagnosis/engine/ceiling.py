@@ -1,7 +1,10 @@
-"""Upper bound of the explainable gap: a flexible model of the residual, scored on held-out excitations.
+"""Upper bound of the explainable gap: a flexible model of the residual, scored on held-out data.
 
-It separates noise from an effect that is missing in the list.
+It separates noise from an effect that is missing in the list. What it explains of a residual is evidence for an effect
+only if it explains less of surrogates: the same residual without its relation to the inputs.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,9 @@ COMPONENTS = 2  # principal components of the channels
 FOLDS_MAX = 4
 TREES = 60
 TURN_SHARE = 0.02  # smallest reversal, in ranges of the signal
+SIMULATED = ", simulated"  # end of the name of a simulated signal
+SURROGATES = 19  # a residual without any law exceeds all of them in one of twenty cases
+TRIALS_SHUFFLED = 3  # trials that give enough orders, signs and directions
 
 
 def explainable(
@@ -32,32 +38,87 @@ def explainable(
         folds: fold of each sample, [M].
         pace: the view's time scale over the robot's; it scales the delays.
     """
+    scaled = np.nan_to_num(residual / view.floor)
+    rows = _rows(view, residual, pace)
+    if len(np.unique(folds[rows])) < 2:
+        return 0.0, {}
+    names, columns = _features(view, _signals(view, residual), rows, pace)
+    targets = _components(scaled[rows])
+    used = np.zeros(len(names))
+    for target in targets.T:
+        used += np.abs(_correlations(columns, target)) * float(target @ target)
+    return _held_out(columns, targets, folds[rows]), _ranked(names, used)
+
+
+def beyond_chance(view: View, residual: NDArray[np.floating], folds: NDArray[np.int64], pace: float = 1.0) -> float:
+    """Return the share of a residual's energy that a flexible model finds, or 0 if it finds as much in a surrogate.
+
+    Neighbouring blocks may share a slow error, and so do those of a surrogate. Features without the view's own
+    measurement, which holds the residual's past, are completed by the integrals of the simulated signals.
+
+    Args:
+        view: stage of the residual.
+        residual: measured minus simulated, [M, S].
+        folds: fold of each sample, [M], from all parts of the data.
+        pace: the view's time scale over the robot's.
+    """
+    rows = _rows(view, residual, pace)
+    if len(np.unique(folds[rows])) < 2:
+        return 0.0
+    signals = {name: x for name, x in _signals(view, residual).items() if name not in view.echoes}
+    simulated = [name for name in signals if name.endswith(SIMULATED)]
+    parts = slices(view.trial)
+    signals |= {f"{name}, summed": np.concatenate([np.cumsum(signals[name][p]) for p in parts]) for name in simulated}
+    _, columns = _features(view, signals, rows, pace)
+    scaled = np.nan_to_num(residual / view.floor)
+    share, random = _held_out(columns, _components(scaled[rows]), folds[rows]), np.random.default_rng(0)
+    for _ in range(SURROGATES):
+        other = _surrogate(scaled, parts, random)
+        if _held_out(columns, _components(other[rows]), folds[rows]) >= share:
+            return 0.0
+    return share
+
+
+def _surrogate(scaled: Array, parts: list[slice], random: np.random.Generator) -> Array:
+    """Return a residual [M, S] with each trial's in another trial, half of them negated, some of them reversed.
+
+    Of few trials the phases are random instead.
+    """
+    found, order = np.empty_like(scaled), random.permutation(len(parts))
+    for i, (here, there) in enumerate(zip(order, np.roll(order, 1), strict=True)):
+        part, length = parts[here], parts[here].stop - parts[here].start
+        if len(parts) < TRIALS_SHUFFLED:
+            turn = np.exp(2j * np.pi * random.random(length // 2 + 1))
+            turn[0] = turn[-1] = 1.0  # of the mean, and of the highest frequency
+            taken = np.fft.irfft(np.fft.rfft(scaled[part], axis=0) * turn[:, None], n=length, axis=0)
+        else:
+            taken = np.resize(scaled[parts[there]], (length, scaled.shape[1]))
+        found[part] = (-1.0) ** i * taken[:: random.choice((-1, 1))]
+    return found
+
+
+def _rows(view: View, residual: NDArray[np.floating], pace: float) -> NDArray[np.int64]:
+    """Return the samples that are used, [N]."""
+    seen = np.flatnonzero(np.isfinite(residual).all(axis=1))
+    return seen[:: max(samples(view, pace * THIN_S), len(seen) // ROWS_MOST, 1)]
+
+
+def _held_out(columns: Array, targets: Array, folds: NDArray[np.int64]) -> float:
+    """Return the share of the targets' energy that boosted trees find on held-out folds."""
     from sklearn.ensemble import HistGradientBoostingRegressor
 
-    scaled = np.nan_to_num(residual / view.floor)
-    seen = np.flatnonzero(np.isfinite(residual).all(axis=1))
-    if not len(seen):
-        return 0.0, {}
-    rows = seen[:: max(samples(view, pace * THIN_S), len(seen) // ROWS_MOST, 1)]
-    names, columns = _features(view, residual, rows, pace)
-    targets = _components(scaled[rows])
-    groups = np.unique(folds[rows], return_inverse=True)[1] % FOLDS_MAX
-    total, left, used = 0.0, 0.0, np.zeros(len(names))
+    groups = np.unique(folds, return_inverse=True)[1] % FOLDS_MAX
+    total, left = float((targets**2).sum()), 0.0
     for target in targets.T:
-        total += float(target @ target)
         for fold in np.unique(groups):
             out = groups == fold
-            if out.all():
-                return 0.0, {}
             model = HistGradientBoostingRegressor(
                 max_iter=TREES, max_leaf_nodes=12, min_samples_leaf=40, l2_regularization=1.0, random_state=0
             )
             model.fit(columns[~out], target[~out])
             error = target[out] - model.predict(columns[out])
             left += float(error @ error)
-        used += np.abs(_correlations(columns, target)) * float(target @ target)
-    share = max(0.0, 1 - left / total) if total > 0 else 0.0
-    return share, _ranked(names, used)
+    return max(0.0, 1 - left / total) if total > 0 else 0.0
 
 
 def samples(view: View, seconds: float) -> int:
@@ -65,18 +126,21 @@ def samples(view: View, seconds: float) -> int:
     return max(1, round(seconds / float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))))
 
 
+def _signals(view: View, residual: NDArray[np.floating]) -> dict[str, Array]:
+    """Return inputs, measured and simulated signals by name, [M] each."""
+    predicted = np.asarray(view.measured - residual, dtype=float)
+    simulated = {f"{channel}{SIMULATED}": _filled(predicted[:, s]) for s, channel in enumerate(view.channels)}
+    return {**view.features, **simulated}
+
+
 def _features(
-    view: View, residual: NDArray[np.floating], rows: NDArray[np.int64], pace: float
+    view: View, signals: Mapping[str, Array], rows: NDArray[np.int64], pace: float
 ) -> tuple[list[str], Array]:
     """Return the features, [N, F], and the name of each column: present, past, and value at the last reversal."""
     names, columns = [], []
     parts = slices(view.trial)
     first = np.concatenate([np.full(part.stop - part.start, part.start) for part in parts])
-    signals = dict(view.features)
     late = tuple(samples(view, pace * lag_s) for lag_s in LAGS_S)
-    predicted = np.asarray(view.measured - residual, dtype=float)
-    for s, channel in enumerate(view.channels):
-        signals[f"{channel}, simulated"] = _filled(predicted[:, s])
     for name, values in signals.items():
         # Before a trial's start its first value stands in. Of the view's own measurement only the past is a
         # feature: the present value minus the simulated one is the residual itself.

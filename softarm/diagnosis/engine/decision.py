@@ -27,6 +27,7 @@ class Decision:
     structure: Mapping[str, str] = field(default_factory=dict)  # stage -> structure in the residual that needs a cause
     unresolved: tuple[SelectedEffect, ...] = ()  # causes that the data do not resolve next to the others
     equal_sets: tuple[tuple[str, ...], ...] = ()  # names of other sets that explain as much as all named effects
+    noise: bool = False  # the residual exceeds the noise floor, and no flexible model explains it beyond chance
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,9 @@ class Evidence:
     # Findings of further tests with noise floors of their own; no effect of the list explains them.
     signs: Mapping[str, Structure] = field(default_factory=dict)
     unresolved: AbstractSet[str] = frozenset()  # chosen effects that the data do not resolve
+    # Share of the residual that a flexible model finds beyond chance, if nothing is named and no noise floor is known;
+    # None if it was not tested.
+    proven: Energies | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +67,19 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     selected = tuple(effect for effect in causes if effect not in unresolved)
     taken = _added({stage: max(evidence.tolerated.get(stage, 0.0), 0.0) for stage in rest.left}, selected)
     structure = _structure(evidence, rest, taken, thresholds)
-    unnamed = _needs_cause(rest, taken, fallen, thresholds) or bool(structure)
+    needs = rest.left
+    if evidence.proven is not None:
+        structure = {s: where for s, where in structure.items() if evidence.proven.get(s) or s in evidence.signs}
+        needs = {s: max(e - 1.0, 0.0) * evidence.proven.get(s, 0.0) for s, e in choice.energies[1].items()}
+    unnamed = _needs_cause(needs, taken, fallen, thresholds) or bool(structure)
     left = _added(rest.left, fallen + unresolved)
     excess = any(energy > rest.most[stage] for stage, energy in left.items())
     explained = sum(max(e, 0.0) for effect in selected for e in effect.gain.energies.values())
     share = explained / (explained + sum(left.values())) if selected else 0.0
     left |= {stage: max(left.get(stage, 0.0), sign.energy) for stage, sign in evidence.signs.items()}
     if not selected:
-        return Decision("unknown" if unnamed else "none", (), left, share, structure)
+        noise = not unnamed and evidence.proven is not None
+        return Decision("unknown" if unnamed else "none", (), left, share, structure, noise=noise)
     if share < thresholds.cause.answer_min:
         return Decision("unknown", (), left, 0.0, structure)
     whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
@@ -122,10 +131,10 @@ def _structure(evidence: Evidence, rest: Remainder, taken: Energies, t: Threshol
     return found | {stage: each.where for stage, each in evidence.signs.items()}
 
 
-def _needs_cause(rest: Remainder, taken: Energies, fallen: Sequence[SelectedEffect], t: Thresholds) -> bool:
+def _needs_cause(needs: Energies, taken: Energies, fallen: Sequence[SelectedEffect], t: Thresholds) -> bool:
     """Return whether the remaining energy, or that of a rejected effect, needs a cause."""
     granted = {s: max(t.gap.unknown_min, min(t.gap.tolerated_share * e, t.cause.rest_most)) for s, e in taken.items()}
-    remains = any(e > granted[s] for s, e in rest.left.items())
+    remains = any(e > granted[s] for s, e in needs.items())
     # Approximate laws leave small effects that are not named; exact laws do not.
     least = t.gap.unknown_min if t.approximate else 0.0
     return remains or any(max(effect.gain.energies.values()) > least for effect in fallen)

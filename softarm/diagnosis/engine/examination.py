@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, point_of
-from softarm.diagnosis.engine.ceiling import explainable
+from softarm.diagnosis.engine.ceiling import beyond_chance, explainable
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.folds import interleaved
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
-from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.view import Array, View
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.engine.work import Progress
 
@@ -90,15 +91,30 @@ class Examination:
     def flexible(self) -> dict[str, tuple[float, Mapping[str, float]]]:
         """Return the explainable share of each stage's residual, and the features that a flexible model uses."""
         found: dict[str, tuple[float, Mapping[str, float]]] = {}
-        fold = dict(zip(self.setup.blocks, self.setup.fold, strict=True))
         for view in self.setup.views:
             if self.choice.energies[1][view.stage] > FLEXIBLE_MIN:
-                own = np.empty(len(view.trial), dtype=np.int64)
-                for name, a, b in blocks_of(view, self.setup.block_s):
-                    own[a:b] = fold[name]
+                own = self._by_sample(view, self.setup.fold)
                 share, uses = explainable(view, self.residuals[view.stage], own, self.setup.block_s / BLOCK_S)
                 found[view.stage] = max(share, self._by_law(view.stage)), uses
         return found
+
+    @cached_property
+    def proven(self) -> dict[str, float]:
+        """Return the share of each stage's residual that a flexible model finds beyond chance in every fifth block."""
+        folds, pace = interleaved(self.setup.blocks), self.setup.block_s / BLOCK_S
+        views = {view.stage: view for view in self.setup.views}
+        return {
+            stage: beyond_chance(view, self.residuals[stage], self._by_sample(view, folds), pace)
+            for stage, view in views.items()
+        }
+
+    def _by_sample(self, view: View, folds: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the fold of each sample, [M], from those of the blocks, [B]."""
+        fold = dict(zip(self.setup.blocks, folds, strict=True))
+        own = np.empty(len(view.trial), dtype=np.int64)
+        for name, a, b in blocks_of(view, self.setup.block_s):
+            own[a:b] = fold[name]
+        return own
 
     def _by_law(self, stage: str) -> float:
         """Return the largest share of a stage's residual that another fitted set removes."""
@@ -194,7 +210,10 @@ class Examination:
         signs = {**(signs or {}), **self.slow}
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
         evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, self.unresolved)
-        return decide(self.choice, evidence, self.thresholds)
+        decision = decide(self.choice, evidence, self.thresholds)
+        if decision.kind == "unknown" and self.thresholds.approximate and not signs:  # the floor is an estimate
+            return decide(self.choice, replace(evidence, proven=self.proven), self.thresholds)
+        return decision
 
     def named(self, decision: Decision) -> Fit:
         """Return the named effects alone, with their fitted sizes: the model of figures, calibration and patch."""

@@ -228,7 +228,7 @@ class _Stage:
             unit=view.unit,
             before=before,
             after=after,
-            floor=float(np.sqrt(np.mean(view.floor**2))),
+            floor=self._floor(),
             calibrated=self.calibrated.rms[view.stage],
             ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - flexible), after),
             overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
@@ -236,6 +236,13 @@ class _Stage:
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
             total_shrink=None if patched is None else self._shrink(found.search.problem.block_squares()),
         )
+
+    def _floor(self) -> float:
+        """Return the noise floor, RMS; without an effect, what the calibrated model leaves is noise."""
+        estimated = float(np.sqrt(np.mean(self.view.floor**2)))
+        if self.decision.kind != "none":
+            return estimated
+        return max(estimated, rms(self.found.null_residuals[self.view.stage].astype(float)))
 
     def _shrink(self, less: Array) -> Interval:
         """Return the share of the held-out RMS that is lost without some effects; less: their blocks' losses [B]."""
@@ -292,6 +299,12 @@ class _Stage:
                 )
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
+        if self.decision.noise:
+            ratio = self._floor() / float(np.sqrt(np.mean(self.view.floor**2)))
+            found.append(
+                f"{stage}: the noise floor is what the model leaves, {ratio:.2g} times the estimate from the signals; "
+                "a flexible model explains nothing of it beyond chance on held-out data"
+            )
         damping = self.found.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
         if damping is not None and self.decision.selected and damping < -0.9:
             found.append(

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.ceiling import LAGS_S, explainable, turned
+from softarm.diagnosis.engine import ceiling
+from softarm.diagnosis.engine.ceiling import LAGS_S, beyond_chance, explainable, turned
 
 pytestmark = pytest.mark.slow
 STEP_S = 1 / 60
@@ -146,3 +147,53 @@ def test_a_single_fold_explains_nothing():
     view = _View()
     view.measured = view.features["input"][:, None].copy()
     assert explainable(view, view.features["input"][:, None], np.zeros(SAMPLES, dtype=np.int64)) == (0.0, {})
+
+
+FIFTHS = np.arange(SAMPLES) // (SAMPLES // 40) % 5  # every fifth block of 1.5 s
+
+
+def _slow(seed, share=0.98):
+    """Return noise whose error lasts for many samples, with unit variance."""
+    found, last = np.empty(SAMPLES), 0.0
+    for i, value in enumerate(_noise(seed)):
+        found[i] = last = share * last + np.sqrt(1 - share**2) * value
+    return found
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Few surrogates: enough where the law is far beyond chance."""
+    monkeypatch.setattr(ceiling, "SURROGATES", 4)
+
+
+def test_slow_noise_that_a_flexible_model_follows_is_no_evidence():
+    """Neighbouring blocks share the noise's slow error, so the model finds part of it; of surrogates as much."""
+    view, residual = _View(), _slow(6, 0.998)
+    view.features = {"input": _slow(1, 0.999), "other": _slow(2, 0.999)}
+    view.measured = residual[:, None]
+    assert explainable(view, residual[:, None], FIFTHS)[0] > 0.1
+    assert beyond_chance(view, residual[:, None], FIFTHS) == 0.0
+
+
+def test_a_law_under_slow_noise_is_evidence_of_its_share(few):
+    view = _View()
+    view.features = {"input": _slow(1), "other": _slow(2)}
+    residual = 0.8 * np.sin(3 * view.features["input"]) + 0.4 * _slow(5)
+    view.measured = residual[:, None]
+    assert 0.4 < beyond_chance(view, residual[:, None], FIFTHS) < 0.9
+
+
+def test_a_ripple_by_the_place_is_found_though_only_the_velocity_is_known(few):
+    view = _View()
+    velocity = 2 * np.sin(np.arange(SAMPLES) / 70) + 1.1 * np.sin(np.arange(SAMPLES) / 31)
+    place = np.concatenate([np.cumsum(velocity[k : k + LENGTH]) for k in range(0, SAMPLES, LENGTH)])
+    residual = np.sin(place / 20) + 0.1 * _noise(4)
+    view.features, view.measured = {}, (velocity + residual)[:, None]
+    assert beyond_chance(view, residual[:, None], FIFTHS) > 0.4
+
+
+def test_white_noise_and_an_empty_residual_are_no_evidence():
+    view = _View()
+    view.measured = _noise()[:, None]
+    assert beyond_chance(view, _noise()[:, None], FIFTHS) == 0.0
+    assert beyond_chance(view, np.full((SAMPLES, 1), np.nan), FIFTHS) == 0.0

@@ -262,3 +262,16 @@ def test_an_unresolved_second_effect_is_not_named_and_its_energy_is_left(second,
     assert (decision.kind, _names(decision)) == (kind, ["pressure.lag"])  # the first stays
     assert [effect.candidate.name for effect in decision.unresolved] == ["arm.damping"]
     assert decision.unexplained["arm"] == pytest.approx(second)
+
+
+def test_without_evidence_a_residual_of_a_rig_is_noise_and_a_proven_share_counts():
+    """Thirty noise floors, and structure: what no flexible model explains is no effect."""
+    parts = _choice({"arm": 900.0}, {"arm": 900.0})
+    assert _decide(parts, {}, _odd(900.0), thresholds=RIG).kind == "unknown"  # not tested
+    silent = _decide(parts, {}, _odd(900.0), thresholds=RIG, proven={"arm": 0.0})
+    assert (silent.kind, silent.structure, silent.noise) == ("none", {}, True)
+    assert _decide(parts, {}, _odd(900.0), thresholds=RIG, proven={"arm": 0.3}).kind == "unknown"
+    weak = _choice({"arm": 10.0}, {"arm": 10.0})
+    assert _decide(weak, {}, thresholds=RIG, proven={"arm": 0.3}).kind == "none"
+    drift = _decide(weak, {}, thresholds=RIG, proven={"arm": 0.0}, signs=_odd(5.0))
+    assert (drift.kind, drift.structure) == ("unknown", {"arm": "at reversals, it carries on"})

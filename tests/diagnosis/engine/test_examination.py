@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softarm.diagnosis.answer.calibration import calibrated
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
@@ -60,6 +61,29 @@ def _without_level(found):
     assert {effect.candidate.name for effect in decision.selected} == {"stage.swing", "stage.level"}
     kept = tuple(effect for effect in decision.selected if effect.candidate.name == "stage.swing")
     return replace(decision, kind="incomplete", selected=kept)
+
+
+@dataclass
+class _Healthy(_View):
+    """A reading with slow noise of ten noise floors, or with a law that is not in the list."""
+
+    law: float = 0.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        white = 10 * NOISE * np.random.default_rng(3).normal(size=len(self.t_s))
+        self.slow_noise = lfilter([0.2], [1.0, -0.98], white)
+        residual = self.law * self.swing**2 if self.law else self.slow_noise
+        self.measured = (residual + NOISE * np.random.default_rng(0).normal(size=len(self.t_s)))[:, None]
+
+
+@pytest.mark.parametrize(("law", "kind"), [(0.0, "none"), (0.2, "unknown")])
+def test_only_a_residual_that_a_flexible_model_explains_is_unknown(law, kind):
+    setup = Setup([_Healthy(law)], (Nuisance(BIAS, 0.0, -0.02, 0.02),), KINDS)
+    found = Examination(setup, (_candidate(STOP, 0.3),), KINDS, RIG, lambda what, share: None)
+    assert found.choice.energies[1]["stage"] > 20.0
+    decision = found.decide()
+    assert (decision.kind, decision.noise) == (kind, kind == "none")
 
 
 def test_the_fit_of_the_named_effects_has_no_other(found):
