@@ -171,9 +171,7 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     gap, known = diagnosis.verdict.gap, _in_floors(diagnosis)
     it = model_word(diagnosis)
     robot = "robot" if diagnosis.nominal is not None else "rig"
-    unchanged = f"Nothing is missing in the {it}. Other excitations may still show a gap."
-    if diagnosis.verdict.calibration:
-        unchanged = f"{unchanged} {calibration_in_words(diagnosis)}"
+    calibrated = f" {calibration_in_words(diagnosis)}" if diagnosis.verdict.calibration else ""
     stage = max(known, key=lambda name: known[name])
     left, floor, ratio = gap.before[stage], gap.floor[stage], known[stage]
     place = "the whole chain" if stage == "chain" else f"the {stage} stage"
@@ -182,11 +180,11 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
         return (
             f"No gap beyond noise: {robot} and {it} agree on this data.",
             f"Closest to its noise floor is {place} with {size}.",
-            unchanged,
+            f"Nothing is missing in the {it}. Other excitations may still show a gap.{calibrated}",
         )
     return (
         f"No cause of a gap between {robot} and {it} was found on this data.",
         f"{place[0].upper()}{place[1:]} is at {number(ratio, 2)} times its noise floor: {size}. "
         "That is too little to attribute to an effect, and no proof that the gap is zero.",
-        f"The {it} stays unchanged. Larger, faster or longer excitations would show more.",
+        f"No effect is added to the {it}. Larger, faster or longer excitations would show more.{calibrated}",
     )

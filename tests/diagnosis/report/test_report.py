@@ -407,6 +407,10 @@ def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
     assert "6.7 ms RMS; differences below 1.2 ms count as noise" in sure
     assert "no proof that the gap is zero" in sure
     assert "agree" not in cause + sure + then
+    assert "Calibration" not in then
+    known = NOTHING.model_copy(update={"gap": gap, "calibration": (STIFFNESS,)})
+    gap.calibrated.update(rms("s", clock=0.0013))
+    assert "goes from 6.7 to 1.3 ms RMS, held out" in report.answer(replace(CASES["none"], verdict=known))[2]
     assert headline(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap}))) == "No cause found"
 
 
