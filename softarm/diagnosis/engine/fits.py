@@ -239,7 +239,7 @@ class FitProblem:
             slope[p:] += base.gr
             if len(jacobian):
                 normal[:p, :p] += jacobian @ jacobian.T
-                across = jacobian @ residual.columns.T
+                across = residual.products(jacobian)
                 normal[:p, p:] += across
                 normal[p:, :p] += across.T
                 slope[:p] += jacobian @ base.rows
@@ -377,18 +377,17 @@ class FitProblem:
         normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
         place = {name: i for i, name in enumerate(self.blocks)}
         for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
-            for (name, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
-                b, c, r = place[name], residual.columns[:, part], base.rows[part]
-                normal[b, p:, p:] += gg
-                slope[b, p:] += c @ r
-                squares[b] += r @ r
-                if len(jacobian):
-                    j = jacobian[:, part]
-                    across = j @ c.T
-                    normal[b, :p, :p] += j @ j.T
-                    normal[b, :p, p:] += across
-                    normal[b, p:, :p] += across.T
-                    slope[b, :p] += j @ r
+            at = [place[name] for name, _ in residual.blocks]
+            rows = np.concatenate((jacobian, base.rows[None])) if len(jacobian) else base.rows[None]
+            own, across = residual.block_products(rows)  # the residual comes last
+            normal[at, p:, p:] += residual.block_gg
+            slope[at, p:] += across[:, -1]
+            squares[at] += own[:, -1, -1]
+            if len(jacobian):
+                normal[at, :p, :p] += own[:, :p, :p]
+                normal[at, :p, p:] += across[:, :p]
+                normal[at, p:, :p] += across[:, :p].transpose(0, 2, 1)
+                slope[at, :p] += own[:, :p, -1]
         return normal, slope, squares
 
 

@@ -84,7 +84,7 @@ class Setup:
         """Return the residual of every view after a fit, [M, S], NaN where nothing was measured."""
         found = []
         for view, residual in zip(self.views, plain.whitened, strict=True):
-            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
+            rows = residual.moments([fit.point])[0].rows + residual.nuisance_rows(fit.nuisance)
             left = rows.reshape(view.measured.shape) * view.floor.astype(np.float32)
             found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
         return found

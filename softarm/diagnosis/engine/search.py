@@ -346,7 +346,7 @@ class Search:
         """Return the energy of each stage's residual."""
         result = {}
         for stage, residual in zip(self.stages, self.plain.whitened, strict=True):
-            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
+            rows = residual.moments([fit.point])[0].rows + residual.nuisance_rows(fit.nuisance)
             noise = float(np.mean((residual.gaps.view.noise / residual.gaps.view.floor) ** 2))
             result[stage] = max(float(rows @ rows) / max(residual.kept, 1.0) - noise, 0.0)
         return result

@@ -103,6 +103,8 @@ class WhitenedResidual:
         self._trials = slices(view.trial)
         self._starts = None if starts is None else self._solve_starts(starts)
         self.columns = self._rows(nuisances)  # [q, N]
+        self._active = np.flatnonzero(self.columns.any(axis=1))  # nuisances that act on this view
+        self._acting = np.ascontiguousarray(self.columns[self._active])
         self.gg = (self.columns @ self.columns.T).astype(np.float64)
         self.kept = float(whiten.keep.sum())
         self._moments = Cache(self._products)
@@ -115,6 +117,41 @@ class WhitenedResidual:
         columns = (self.columns[:, part] for _, part in self.blocks)
         return np.stack([c @ c.T for c in columns]).astype(np.float64)
 
+    def products(self, rows: Rows) -> Array:
+        """Return the products of rows [k, N] with the nuisance columns, [k, q]."""
+        found = np.zeros((len(rows), len(self.columns)))
+        found[:, self._active] = rows @ self._acting.T
+        return found
+
+    def block_products(self, rows: Rows) -> tuple[Array, Array]:
+        """Return the products of rows [k, N] in each block: with one another [B, k, k], and as `products` [B, k, q]."""
+        mine = self._by_block(rows)
+        across = np.zeros((*mine.shape[:2], len(self.columns)))
+        across[:, :, self._active] = mine @ self._acting_by_block
+        return (mine @ mine.transpose(0, 2, 1)).astype(np.float64), across
+
+    @cached_property
+    def _acting_by_block(self) -> Rows:
+        return np.ascontiguousarray(self._by_block(self._acting).transpose(0, 2, 1))
+
+    def _by_block(self, rows: Rows) -> Rows:
+        """Return rows [k, N] by block [B, k, L], with zeros behind a block that is shorter than the longest."""
+        padded = np.concatenate((rows, np.zeros((len(rows), 1), rows.dtype)), axis=1)
+        return np.ascontiguousarray(padded[:, self._places].transpose(1, 0, 2))
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """Indices of each block's samples, [B, L]; behind a short block that of a zero."""
+        longest = max(part.stop - part.start for _, part in self.blocks)
+        places = np.full((len(self.blocks), longest), self.columns.shape[1])
+        for at, (_, part) in zip(places, self.blocks, strict=True):
+            at[: part.stop - part.start] = np.arange(part.start, part.stop)
+        return places
+
+    def nuisance_rows(self, nuisance: Array) -> Rows:
+        """Return the change of the rows with nuisances [q] in units of their edges, [N]."""
+        return np.asarray(nuisance[self._active].astype(np.float32) @ self._acting)
+
     def moments(self, points: Sequence[Point]) -> list[Moments]:
         """Return the moments of each point."""
         return self._moments.fetch([self.gaps.key(point) for point in points])
@@ -122,7 +159,7 @@ class WhitenedResidual:
     def _products(self, keys: Sequence[Key]) -> list[Moments]:
         raw = self.gaps.fetch([dict(key) for key in keys])
         rows = self._rows(np.stack([raw[key] for key in keys]))
-        gr = (rows @ self.columns.T).astype(np.float64)
+        gr = self.products(rows)
         rr = np.einsum("ij,ij->i", rows, rows).astype(np.float64)
         return [Moments(rows[i], float(rr[i]), gr[i]) for i in range(len(keys))]
 
