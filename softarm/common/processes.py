@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
+from datetime import timedelta
 from functools import partial
 from multiprocessing import active_children, get_context, parent_process
 from typing import TYPE_CHECKING, TypeVar
@@ -95,6 +96,14 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
+def left_s(elapsed_s: float, share: float) -> float:
+    """Return the remaining time of work whose completed share has grown evenly.
+
+    The newest speed alone would keep its estimate while a long step reports nothing.
+    """
+    return elapsed_s * (1.0 / min(share, 1.0) - 1.0)
+
+
 class _Lines:
     """Progress as lines: the first after FIRST_LINE_S, then at most one every LINE_S, with the remaining time."""
 
@@ -127,8 +136,7 @@ class _Lines:
         if not share:
             self._write(f"{text} ...")
             return
-        left_s = (now_s - self._begun_s) * (1.0 / min(share, 1.0) - 1.0)
-        self._write(f"{text} ({100 * share:.0f} %, about {left_s:.0f} s left)")
+        self._write(f"{text} ({100 * share:.0f} %, about {left_s(now_s - self._begun_s, share):.0f} s left)")
 
 
 class Bar:
@@ -176,15 +184,23 @@ def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = F
         BarColumn,
         MofNCompleteColumn,
         Progress,
+        ProgressColumn,
+        Task,
         TaskProgressColumn,
         TextColumn,
         TimeElapsedColumn,
-        TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class Remaining(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            gained = (task.completed - done) / (task.total - done) if task.total and task.total > done else 0.0
+            seconds = round(left_s(task.elapsed or 0.0, gained)) if gained > 0 else None
+            return Text("-:--:--" if seconds is None else str(timedelta(seconds=seconds)), style="progress.remaining")
 
     console = Console(stderr=True)
     figure = TaskProgressColumn() if isinstance(total, float) else MofNCompleteColumn()
-    columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), Remaining())
     with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
         lines = _Lines(partial(print, file=sys.stderr, flush=True), time.monotonic)
         shown = Bar(progress, progress.add_task(text, total=total), lines if progress.disable else None)

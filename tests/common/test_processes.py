@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from softarm.common import processes
-from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar
+from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar, left_s
 
 ROOT = Path(__file__).parents[2]
 # A program with a busy and a waiting worker; each writes its process number.
@@ -170,3 +170,16 @@ def test_long_work_without_reports_prints_one_line_without_a_terminal(capsys, mo
         wait_for(lambda: said.append(capsys.readouterr().err) or any(said))
     assert "".join(said) == "flying, 1 of 2 flights ...\n"
     assert capsys.readouterr().err == ""
+
+
+def test_the_remaining_time_grows_while_a_step_reports_nothing():
+    assert [left_s(elapsed_s, 0.25) for elapsed_s in (10.0, 20.0)] == [30.0, 60.0]
+    assert left_s(10.0, 1.5) == 0.0
+
+
+def test_a_bar_on_a_terminal_shows_the_remaining_time(monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with bar("working", total=4, done=1) as shown:
+        shown.advance(3)
+    last = capsys.readouterr().err.split("working")[-1]
+    assert last.count("0:00:00") == 2  # elapsed and remaining
