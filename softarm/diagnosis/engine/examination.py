@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.ceiling import beyond_chance, explainable
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.folds import interleaved
+from softarm.diagnosis.engine.hum import hum
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
@@ -100,11 +101,12 @@ class Examination:
 
     @cached_property
     def proven(self) -> dict[str, float]:
-        """Return the share of each stage's residual that a flexible model finds beyond chance in every fifth block."""
+        """Return the share of each stage's residual that a hum or, beyond chance, a flexible model explains."""
         folds, pace = interleaved(self.setup.blocks), self.setup.block_s / BLOCK_S
         views = {view.stage: view for view in self.setup.views}
         return {
-            stage: beyond_chance(view, self.residuals[stage], self._by_sample(view, folds), pace)
+            stage: hum(view, self.residuals[stage])
+            or beyond_chance(view, self.residuals[stage], self._by_sample(view, folds), pace)
             for stage, view in views.items()
         }
 
