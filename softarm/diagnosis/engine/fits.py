@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box
-from softarm.diagnosis.engine.candidates import Coordinates, EffectSet, point_of, split
+from softarm.diagnosis.engine.candidates import Coordinates, EffectSet, FittedParameter, point_of, split
 from softarm.diagnosis.engine.held_out import Block, BlockSums, simulated_losses
 from softarm.diagnosis.engine.jackknife import RIDGE, covariance
 from softarm.diagnosis.engine.view import Array, Point
@@ -20,6 +20,7 @@ from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
 ROUNDS = 4
 CONVERGED = 1e-3  # relative gain of the loss that ends a fit
 NUDGE = 0.04  # finite difference, in sizes of a parameter
+COARSE = 1.0  # the same for a descent over the small minima of a law with kinks
 SHORTER = 0.3  # factor of a step that did not lower the loss
 NOISE_SIGMAS = 2.0  # chance correlation of neighbours in white noise
 LEAST_WIDTH = 1e-3  # smallest half interval, in sizes of a parameter
@@ -132,6 +133,7 @@ class FitProblem:
     blocks: tuple[Block, ...]  # [B]
     fold: NDArray[np.int64]  # [B]
     simulated: bool = False  # simulate held-out losses instead of using the last linearisation
+    nudge: float = NUDGE  # finite difference, in sizes of a parameter
 
     def fit(self, sets: Sequence[tuple[EffectSet, Coordinates]], rounds: int = ROUNDS) -> list[Fit]:
         """Fit every set from its start, all sets together.
@@ -192,8 +194,7 @@ class FitProblem:
         points, nudges = [], []
         for each, x in zip(effects, state, strict=True):
             parameters = [d for c in each for d in c.parameters]
-            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(parameters, x, strict=True)]
-            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(parameters, away, strict=True)])
+            nudge = np.array([nudged(d, v, self.nudge) for d, v in zip(parameters, x, strict=True)])
             nudges.append(nudge)
             points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
         flat = [p for ps in points for p in ps]
@@ -389,6 +390,13 @@ class FitProblem:
                 normal[at, p:, :p] += across[:, :p].transpose(0, 2, 1)
                 slope[at, :p] += own[:, :p, -1]
         return normal, slope, squares
+
+
+def nudged(parameter: FittedParameter, u: float, share: float) -> float:
+    """Return a signed finite difference of a share of a parameter's size, within the wider side of its bounds."""
+    up, down = parameter.high - u, u - parameter.low
+    wanted = share * parameter.size
+    return wanted if wanted <= up else -min(wanted, down) if down >= up else up
 
 
 def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:

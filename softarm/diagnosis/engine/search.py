@@ -11,7 +11,7 @@ import numpy as np
 
 from softarm.diagnosis.engine import equal_sets, resample, work
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
-from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.fits import COARSE, Fit, FitProblem
 from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
@@ -157,7 +157,10 @@ class Search:
         whole = work.full(parameters)
         self._work.begin("fitting all effects at once", whole, work.backward(count, parameters) - whole)
         started = [(every, tuple(_moved(c, size) for c in every)) for size in SIZES]
-        fit = min(self._rough.fit(started, rounds), key=lambda f: f.loss)
+        fits = self._rough.fit(started, rounds)
+        if self.thresholds.search.refit:
+            fits += replace(self._rough, nudge=COARSE).fit(started, rounds)
+        fit = min(fits, key=lambda f: f.loss)
         for _ in range(POLISH):
             best = self._rough.fit([(fit.effects, fit.u)], rounds)[0]
             settled = not best.loss < fit.loss * (1 - SETTLED)

@@ -18,7 +18,8 @@ class SearchBudget:
     candidates_max: int = 10  # candidates that get a full fit
     # A candidate whose rough gain is smaller than the best by more than this share gets no full fit.
     lag_share: float = 1.0
-    refit: bool = False  # fit few effects from their own starts as well
+    # The loss has many small minima: fit few effects from their own starts as well, and all with wide differences.
+    refit: bool = False
     # Held-out data of the search: the verdict's own (kinds, else trials), whole trials, or every fifth block.
     folds: Literal["held_out", "trial", "block"] = "held_out"
 

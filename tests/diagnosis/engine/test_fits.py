@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.fits import COARSE, NUDGE, nudged
 from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import Setup
@@ -69,6 +70,31 @@ def _fit(problem, *effects, start=0, rounds=8):
 def both():
     """Gain and lag fitted together, the zero a nuisance."""
     return _fit(_problem(_View()), GAIN, LAG)
+
+
+class _Kinked(_View):
+    """The gauge with a gain whose effect has a ripple, so that its loss has a minimum every 0.04."""
+
+    def _predict(self, point):
+        scale = point.get(SCALE, 0.0)
+        return super()._predict(point | {SCALE: scale + 0.02 * np.sin(2 * np.pi * scale / 0.04)})
+
+
+def test_wide_differences_descend_over_small_minima():
+    fine = _problem(_Kinked(truth={SCALE: TRUE[SCALE]}))
+    start = [((GAIN,), ((-0.4,),))]
+    assert fine.fit(start, 12)[0].loss > 10 * fine.losses([((GAIN,), ((TRUE[SCALE],),))])[0]
+    rough = dataclasses.replace(fine, nudge=COARSE).fit(start, 12)[0]
+    assert rough.point[SCALE] == pytest.approx(TRUE[SCALE], abs=0.02)
+
+
+@pytest.mark.parametrize("nudge", [NUDGE, COARSE, 30.0])
+def test_a_difference_stays_within_the_wider_side_of_the_bounds(nudge):
+    (parameter,) = GAIN.parameters
+    for u in (-0.5, -0.1, 0.0, 0.3, 0.5):
+        moved = u + nudged(parameter, u, nudge)
+        assert parameter.low <= moved <= parameter.high
+        assert abs(moved - u) == pytest.approx(min(nudge * parameter.size, 0.5 + abs(u)))
 
 
 def test_known_parameters_come_back(both):

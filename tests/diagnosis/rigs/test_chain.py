@@ -346,6 +346,19 @@ def test_dry_friction_of_both_joints_is_named_with_both_sizes():
 
 
 @pytest.mark.prove
+def test_dry_friction_is_named_next_to_viscous_friction_that_was_fitted_alone():
+    """The nominal viscous friction is the best one without dry friction: eight and three times the true one."""
+    owned = {**TWO, "damping_nm_s_rad": (0.164, 0.0289)}
+    trials = campaign(TWO, {"dry": np.array((0.2, 0.0667))}, size=BIG, seconds=4.0, nominal=owned)
+    verdict, found = named(trials)
+    assert verdict.verdict == "named"
+    assert set(found) == {"coulomb_friction", "damping"}
+    assert found["coulomb_friction"]["torque1"] == pytest.approx(0.2, rel=0.05)
+    assert found["coulomb_friction"]["torque2"] == pytest.approx(0.0667, rel=0.05)
+    assert 0.164 * (1 + found["damping"]["scale1"]) == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.prove
 def test_a_real_double_pendulum_has_dry_friction_in_both_joints(data):
     """Its authors give 0.093 and 0.078 N m times arctan(100 rate), at most 0.146 and 0.123 N m."""
     trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "double-pendulum.yaml", data)
