@@ -248,8 +248,9 @@ class FitProblem:
 
     def _box(self, effects: EffectSet, x: Array) -> tuple[Array, Array]:
         parameters = [d for c in effects for d in c.parameters]
-        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(parameters, x, strict=True)])
-        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        reach = [min(REACH * d.size, d.reach) for d in parameters]
+        low = np.array([max(d.low - v, -most) for d, v, most in zip(parameters, x, reach, strict=True)])
+        high = np.array([min(d.high - v, most) for d, v, most in zip(parameters, x, reach, strict=True)])
         nuisance_low, nuisance_high = self.nuisance_box(effects)
         return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
 

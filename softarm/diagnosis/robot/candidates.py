@@ -59,9 +59,12 @@ _COUNTED = ("mocap.dropout", "mocap.noise")  # measured from stamps and noise (r
 # Relative errors of parameters that every model has: they are constant in time and over excitations. A delay is not,
 # since its strength varies with the drive's law.
 _CONSTANT = ("rail.gain", "arm.stiffness", "arm.damping", "arm.muscle_gain", "arm.torque_offset")
-# The loss of a dead zone has many local minima, so it has many starts.
+# A valve acts at other commands if its dead zone is 0.05 kPa wider: starts lie that close, from 0.25 to 5 kPa, and no
+# step of a fit is longer.
+_JUMP_KPA = 0.05
+_REACH = {"pressure.deadband.width": _JUMP_KPA}
 _MANY_STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
-    "pressure.deadband": tuple((0.25 * 1.2**i,) for i in range(14)),  # 0.25 to 2.7 kPa
+    "pressure.deadband": tuple((_JUMP_KPA * i,) for i in range(5, 101)),
 }
 _FORMS: dict[str, tuple[dict[str, float], ...]] = {
     "rail.gain": ({}, {ON_MOTOR: 1.0}),
@@ -119,6 +122,7 @@ def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
         tolerance=_tolerance(path, nominal, size),
         open_end=path in _OPEN_ENDS,
         shape=p.default is not None,
+        reach=_REACH.get(path, math.inf),
     )
 
 

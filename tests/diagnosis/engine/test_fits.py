@@ -88,6 +88,16 @@ def test_wide_differences_descend_over_small_minima():
     assert rough.point[SCALE] == pytest.approx(TRUE[SCALE], abs=0.02)
 
 
+def test_a_law_with_jumps_moves_no_further_than_its_reach():
+    """Its last linearisation holds nearby only, and so do its folds and halves."""
+    (parameter,) = GAIN.parameters
+    near = dataclasses.replace(GAIN, parameters=(dataclasses.replace(parameter, reach=0.05),))
+    fit = _problem(_View()).fit([((near,), ((0.0,),))], 2)[0]
+    assert fit.u[0][0] == pytest.approx(0.05)
+    assert fit.folds.max() <= 0.1 + 1e-12
+    assert fit.halves.max() <= 0.1 + 1e-12
+
+
 @pytest.mark.parametrize("nudge", [NUDGE, COARSE, 30.0])
 def test_a_difference_stays_within_the_wider_side_of_the_bounds(nudge):
     (parameter,) = GAIN.parameters

@@ -88,10 +88,12 @@ def test_starts_lie_on_both_sides_where_the_bounds_allow():
 
 
 def test_a_dead_zone_of_any_width_has_a_start_close_by():
-    """How often a valve acts jumps with its dead zone: from a third of the true width no descent arrives."""
-    starts = np.array([u for (u,) in next(c for c in ALL if c.name == "pressure.deadband").starts])
-    for width_kpa in np.geomspace(0.3, 2.5, 50):
-        assert np.abs(starts / width_kpa - 1).min() < 0.1
+    """The instants at which a valve acts jump with its dead zone: 0.1 kPa from the true width no descent arrives."""
+    candidate = next(c for c in ALL if c.name == "pressure.deadband")
+    starts = np.array([u for (u,) in candidate.starts])
+    for width_kpa in np.linspace(0.25, candidate.parameters[0].high, 200):
+        assert np.abs(starts - width_kpa).min() < 0.026
+    assert candidate.parameters[0].reach == pytest.approx(np.diff(starts).max())
 
 
 def test_an_effect_of_the_model_can_be_taken_out():
