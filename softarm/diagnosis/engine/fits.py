@@ -394,10 +394,15 @@ class FitProblem:
 
 
 def nudged(parameter: FittedParameter, u: float, share: float) -> float:
-    """Return a signed finite difference of a share of a parameter's size, within the wider side of its bounds."""
+    """Return a signed finite difference of a share of a parameter's size, within the wider side of its bounds.
+
+    A parameter that is fixed by equal bounds gets the whole share.
+    """
     up, down = parameter.high - u, u - parameter.low
     wanted = share * parameter.size
-    return wanted if wanted <= up else -min(wanted, down) if down >= up else up
+    if wanted <= up or parameter.high <= parameter.low:
+        return wanted
+    return -min(wanted, down) if down >= up else up
 
 
 def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:

@@ -107,6 +107,12 @@ def test_a_difference_stays_within_the_wider_side_of_the_bounds(nudge):
         assert abs(moved - u) == pytest.approx(min(nudge * parameter.size, 0.5 + abs(u)))
 
 
+def test_a_parameter_fixed_by_equal_bounds_still_has_a_difference():
+    (parameter,) = GAIN.parameters
+    fixed = dataclasses.replace(parameter, low=0.2, high=0.2)
+    assert nudged(fixed, 0.2, NUDGE) == pytest.approx(NUDGE * parameter.size)
+
+
 def test_known_parameters_come_back(both):
     assert both.point[SCALE] == pytest.approx(TRUE[SCALE], abs=0.01)
     assert both.point[TIME] == pytest.approx(TRUE[TIME], abs=0.01)
