@@ -147,6 +147,9 @@ def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[
     """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from."""
     kind = VIEWS[stage_of(trials).kind]
     found = Stretches(tuple(trials), tuple(range(len(trials)))).windows(kind.windows)
+    if issubclass(kind, ChainView):
+        parts, origins = kind.stable_windows(found.trials)
+        found = Stretches(parts, tuple(found.origins[i] for i in origins))
     return kind(found.trials), found.trials, found.origins
 
 

@@ -100,7 +100,10 @@ class RigView:
         self.t_s: Array = np.concatenate(t_s)
         self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
         self.measured: Array = np.concatenate(measured)
-        swing = np.sqrt(np.nanmean((self.measured - np.nanmean(self.measured, axis=0)) ** 2, axis=0))
+        # Within the windows: a link that turns over and over moves by many turns, and its swing is one of them.
+        middle = np.stack([np.nanmean(x, axis=0) for x in measured])[self.trial] if self.fits_starts else None
+        middle = np.nanmean(self.measured, axis=0) if middle is None else middle
+        swing = np.sqrt(np.nanmean((self.measured - middle) ** 2, axis=0))
         self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
         self.noise: Array = np.zeros(len(channels))
         self.acts = frozenset(f"{e.name}.{n.name}" for e in self.effects for n in e.parameters)

@@ -11,7 +11,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 
 GRAVITY = 9.81
 # tanh(STEEP x rate) replaces the sign of a rate, s/rad.
@@ -236,6 +236,46 @@ def test_windows_with_a_link_over_the_top_are_left_out_with_a_warning():
     assert out
     assert all(name.startswith("strong") for name in out)
     assert any(f"{len(out)} of {len(parts)} windows are left out" in text for text in found.warnings)
+
+
+def over_the_top(beyond, trials=4):
+    """Return recordings of a strongly driven arm whose links turn over and over."""
+    made, found, t = Made(TWO, **beyond), [], np.arange(0, 6, 0.005)
+    for k in range(trials):
+        torque = tones(10 + k, 2, (3.0, 0.6))
+        angles, _ = made.swing(0.2, t, torque)
+        assert np.abs(angles).max() > 4 * np.pi
+        asked = np.array([torque(s) for s in t])
+        found.append(trial(f"strong {k}", t, angles, TWO, asked, noise=2e-4, seed=k))
+    return found
+
+
+def test_windows_over_the_top_are_as_short_as_the_growth_of_errors_demands():
+    calm, strong = campaign(TWO, trials=1, size=BIG), over_the_top({}, trials=1)
+    whole, halved = (len(ChainView.windows(trials[0])) for trials in (calm, strong))
+    assert len(view_of(calm)[1]) == whole
+    found, parts, origins = view_of(strong)
+    assert len(parts) > 2 * halved
+    assert set(origins) == {0}
+    assert np.isfinite(found.measured).all(axis=1).mean() > 0.9
+    grown = ChainView(ChainView.windows(strong[0])).growth
+    assert grown.max() > 20
+    assert np.quantile(found.growth, 0.8) < 5
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("beyond", "name", "parameter", "size"),
+    [
+        ({"payload": 0.06}, "payload", "mass", 0.06),
+        ({"dry": np.array((0.06, 0.02))}, "coulomb_friction", "torque1", 0.06),
+    ],
+)
+def test_a_cause_is_named_from_stretches_over_the_top(beyond, name, parameter, size):
+    verdict, found = named(over_the_top(beyond))
+    assert verdict.verdict == "named"
+    assert set(found) == {name}
+    assert found[name][parameter] == pytest.approx(size, rel=0.1)
 
 
 @pytest.mark.parametrize("late_rows", [0, 40], ids=["torque jumps", "torque is constant"])

@@ -82,6 +82,13 @@ class Shooting:
         """
         return np.concatenate([self._residuals(laws[i : i + AT_ONCE], torque) for i in range(0, len(laws), AT_ONCE)])
 
+    def growth(self, law: Law, torque: Array) -> Array:
+        """Return the largest change of an angle in each window over the change of an angle at its start, [W]."""
+        n = self._chain.n
+        _, slopes = self._differences([law], torque)
+        found = np.abs(slopes[:, 0, :n]).reshape(len(self.kept), n, -1, n) * self.kept[:, None, :, None]
+        return np.asarray(found.max(axis=(1, 2, 3)))
+
     def _residuals(self, laws: Sequence[Law], torque: Array) -> Array:
         points, (windows, size) = len(laws), self._start.shape
         left, slopes = self._differences(laws, torque)
