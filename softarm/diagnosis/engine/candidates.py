@@ -52,6 +52,11 @@ class Candidate:
     form: Mapping[str, float] = field(default_factory=dict)
     constant: bool = False  # the model has this parameter already, so its strength is the same everywhere
 
+    @property
+    def is_missing(self) -> bool:
+        """Return whether the model lacks the effect; otherwise a change within tolerance is calibration."""
+        return not self.constant and all(d.nominal == d.neutral for d in self.parameters if not d.shape)
+
     def exceeds_tolerance(self, u: Sequence[float]) -> bool:
         """Return whether a parameter differs from nominal by more than its tolerance."""
         return any(abs(x - d.nominal) >= d.tolerance for d, x in zip(self.parameters, u, strict=True))

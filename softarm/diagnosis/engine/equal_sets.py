@@ -53,4 +53,4 @@ def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[F
         predicted = [prediction.of(each) for each in members if each[shared_max] >= len(chosen.effects)]
         best = sorted(predicted, key=lambda each: each.loss)[:FITTED_MAX]
         fits = search.problem.fit([(each.effects, each.u) for each in best], search.thresholds.search.rounds)
-    return [fit for fit in fits if fit.exceeds_tolerance and not fit.at_bound]
+    return [fit for fit in fits if search.is_nameable(fit)]

@@ -85,11 +85,6 @@ class Fit:
         return at, max(abs(us[j] - parameters[j].nominal), 1e-9 * parameters[j].size)
 
     @property
-    def exceeds_tolerance(self) -> bool:
-        """Return whether every effect exceeds its tolerance."""
-        return all(each.exceeds_tolerance(us) for each, us in zip(self.effects, self.u, strict=True))
-
-    @property
     def at_bound(self) -> bool:
         """Return whether any effect is at a bound."""
         return any(each.at_bound(us) for each, us in zip(self.effects, self.u, strict=True))

@@ -21,6 +21,7 @@ from softarm.diagnosis.engine.work import Progress, Work
 EFFECTS_MAX = 3  # effects of a forward search
 SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
 RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
+SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
 EQUAL = 0.5  # held-out loss that counts as no difference
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
@@ -113,7 +114,7 @@ class Search:
         while True:
             progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
-            good = [(f, g) for f, g in ranked if self.is_gain(g) and f.exceeds_tolerance and not f.at_bound]
+            good = [(f, g) for f, g in ranked if self.is_gain(g) and self.is_nameable(f, g)]
             if not good or len(chosen.effects) == EFFECTS_MAX:
                 return chosen
             further = self.pruned(self.swapped(good[0][0]))
@@ -186,9 +187,27 @@ class Search:
         enough = gain.low > 0 and gain.value > self.thresholds.gain.loss_min
         return enough and any(self._is_visible(gain, stage) for stage in gain.shares)
 
+    def is_nameable(self, fit: Fit, gain: Gain | None = None) -> bool:
+        """Return whether a set's effects may be named: large enough, and none at a bound.
+
+        Args:
+            fit: fitted set.
+            gain: gain of the set's last effect, which must be resolved if the effect is within its tolerance.
+        """
+        last_exceeds = fit.effects[-1].exceeds_tolerance(fit.u[-1])
+        resolved = gain is None or last_exceeds or gain.value > self.thresholds.gain.resolved_min
+        return self.is_large(fit) and resolved and not fit.at_bound
+
+    def is_large(self, fit: Fit) -> bool:
+        """Return whether every effect exceeds its tolerance, or is missing in the model if noise sets the limit."""
+        by_noise = np.isfinite(self.thresholds.gain.resolved_min)
+        pairs = zip(fit.effects, fit.u, strict=True)
+        return all(each.exceeds_tolerance(u) or (by_noise and each.is_missing) for each, u in pairs)
+
     def _is_visible(self, gain: Gain, stage: str) -> bool:
         t, share, energy = self.thresholds.gain, gain.shares[stage], gain.energies[stage]
         clearly = any(share > s and energy > e and gain.low > low for s, e, low in t.visible)
+        clearly = clearly or (gain.value > t.resolved_min and share > SHARE_MIN)
         return clearly and (share > t.further_share or energy > t.further_min * self._first.get(stage, 0.0))
 
     def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
@@ -284,7 +303,7 @@ class Search:
                 each
                 for less in self.reduced(fit)
                 for each in self.extended(less, tuple(set(fit.names) - set(less.names)))
-                if each.exceeds_tolerance and not each.at_bound
+                if self.is_nameable(each)
             ]
             best = min(options, key=lambda f: float(f.held_out.sum()), default=fit)
             if not self.gain(fit, best).low > 0:
@@ -317,7 +336,7 @@ class Search:
             for rival in sorted(self.extended(less, chosen.names), key=lambda f: order.index(f.effects[-1].name)):
                 earlier = order.index(rival.effects[-1].name) < order.index(effect.name)
                 same = abs(self.gain(rival, chosen).value) < EQUAL
-                if earlier and same and rival.exceeds_tolerance and not rival.at_bound:
+                if earlier and same and self.is_nameable(rival):
                     return rival
         return chosen
 
@@ -330,7 +349,7 @@ class Search:
         shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
         rest = float(self._counted(rival).sum()) - lack.value
         close = lack.low <= 0 or lack.value < max(t.lack_max, t.misfit_share * rest)
-        enough = rival.exceeds_tolerance and self.is_gain(own)
+        enough = self.is_large(rival) and self.is_gain(own)
         return enough and shared and close and lack.value < t.share_max * gain.value
 
     def gain(self, less: Fit, more: Fit) -> Gain:

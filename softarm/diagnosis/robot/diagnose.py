@@ -145,10 +145,16 @@ def _with_tolerance(parameter: FittedParameter, u: float, low: float, high: floa
     """Return the ends of a size's interval, in the registry's unit, widened by the parameter's tolerance.
 
     Noise alone gives a hundredth of the size. A well-kept robot shows up to the tolerance, and that much of the fitted
-    size may be the robot's own instead of its fault's.
+    size may be the robot's own instead of its fault's. Where noise excludes the model's own value, the interval ends
+    there: the effect is present, only its size is uncertain.
     """
     below, above = math.hypot(u - low, parameter.tolerance), math.hypot(high - u, parameter.tolerance)
-    return parameter.value(u - below), parameter.value(u + above)
+    first, last = u - below, u + above
+    if low > parameter.nominal:
+        first = max(first, parameter.nominal)
+    if high < parameter.nominal:
+        last = min(last, parameter.nominal)
+    return parameter.value(first), parameter.value(last)
 
 
 def _count_effect(count: Count) -> NamedEffect:

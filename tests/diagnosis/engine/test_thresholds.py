@@ -85,6 +85,11 @@ def is_correction(t, left):
 PROBES = {
     "gain.ignored": (RIG, lambda t: is_correction(t, 2.5), lambda t: is_correction(t, 6.0)),
     "gain.loss_min": (ROBOT, lambda t: is_gain(t, 6.0, 5.0), lambda t: is_gain(t, 12.0, 11.0)),
+    "gain.resolved_min": (
+        ROBOT,
+        lambda t: is_gain(t, 30.0, 15.0, energy=0.01, first=0.02),
+        lambda t: is_gain(t, 60.0, 30.0, energy=0.01, first=0.02),
+    ),
     "gain.further_min": (
         ROBOT,
         lambda t: is_gain(t, share=0.15, energy=4.0),
@@ -182,6 +187,17 @@ def moved(t, name, factor):
     return replace(t, **{group: replace(rule, **{field: factor * getattr(rule, field)})})
 
 
+def test_an_effect_that_the_model_lacks_is_named_within_its_tolerance_if_noise_resolves_it():
+    search, clear = Energies(ROBOT), Gain(60.0, 30.0, 90.0, {}, {})
+    tolerated = replace(PARAMETER, tolerance=2.0)
+    missing, calibrated = (replace(effect, parameters=(tolerated,)) for effect in (PAYLOAD, CONSTANT))
+    assert search.is_nameable(fit(missing), clear)
+    assert not search.is_nameable(fit(missing), replace(clear, value=20.0))
+    assert not search.is_nameable(fit(calibrated), clear)
+    assert search.is_nameable(fit(PAYLOAD), replace(clear, value=20.0))
+    assert not Energies(RIG).is_nameable(fit(missing), clear)
+
+
 @pytest.mark.parametrize("name", PROBES)
 def test_a_threshold_lies_between_its_two_probes(name):
     t, below, above = PROBES[name]
@@ -205,9 +221,9 @@ def _fields(rule):
 @pytest.mark.parametrize("column", ["share", "energy", "low"])
 @pytest.mark.parametrize(("row", "limits"), [(0, (0.10, 0.30, 0.0)), (1, (0.20, 0.10, 0.0)), (2, (0.10, 0.05, 10.0))])
 def test_a_gain_must_be_visible_in_its_stage(row, limits, column):
-    """Values above one row of limits are a gain; with one value below its limit they are not."""
+    """Values above one row of limits are a gain; with one value below its limit they are not, unless noise does."""
     alone = replace(ROBOT, gain=replace(ROBOT.gain, visible=(ROBOT.gain.visible[row],), further_min=0.0))
     limits = dict(zip(("share", "energy", "low"), limits, strict=True))
     values = {name: max(1.2 * limit, 0.1) for name, limit in limits.items()}
-    assert is_gain(alone, **values)
-    assert not is_gain(alone, **values | {column: 0.8 * limits[column]})
+    assert is_gain(alone, 30.0, **values)
+    assert not is_gain(alone, 30.0, **values | {column: 0.8 * limits[column]})

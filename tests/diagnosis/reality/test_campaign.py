@@ -2,6 +2,14 @@
 
 import pytest
 
+from softarm.diagnosis.blind.cases import PROGRAMME
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.diagnose import diagnose
+from softarm.reality.parameters import Arm, RobotParameters
+from softarm.reality.record import record
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+
 DEAD_TIME_S = 0.06
 pytestmark = pytest.mark.slow
 
@@ -24,3 +32,15 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
 def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
     found = diagnosed(0.0)
     assert (found.verdict.verdict, found.verdict.effects, found.patched) == ("none", (), None)
+
+
+@pytest.mark.prove
+def test_joint_friction_within_its_tolerance_is_named_if_the_noise_resolves_it(tmp_path):
+    friction_nm = 0.003
+    robot = RobotParameters(arm=Arm(friction_nm=friction_nm))
+    for seed, kind in enumerate(PROGRAMME):
+        record(EXCITATIONS[kind].at, tmp_path / kind, EXCITATIONS[kind].duration_s, robot, seed, kind=kind)
+    (effect,) = diagnose(read_all([tmp_path]), Model()).verdict.effects
+    torque = effect.parameters["torque"]
+    assert effect.name == "arm.coulomb_friction"
+    assert 0.0 <= torque.low < friction_nm < torque.high
