@@ -6,13 +6,14 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from softarm.common import yaml_lines
 from softarm.common.yaml_schema import fit
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import StampedFrame
 from softarm.drivers.bridge.frame import View
+from softarm.drivers.bridge.publisher import Publisher
 from softarm.drivers.mocap import payload
 from softarm.schemas.bridge import Bridge
 from softarm.schemas.messages import BODY_NAMES, Pose
@@ -46,15 +47,14 @@ def read(path: Path | str) -> Bridge:
 _FIGURES = re.compile(r"[-+0-9.]+")
 
 
-class Outlet(Protocol):
-    """Receiver of frames, such as `softarm.drivers.bridge.publisher.Publisher`."""
+class NullOutlet:
+    """Outlet that drops all frames."""
 
-    sent: int
-    without_daemon: int
-    daemon_listens: bool
+    sent = without_daemon = 0
+    daemon_listens = False
 
     def put(self, frame: bytes) -> None:
-        """Publish or drop a frame."""
+        """Drop a frame without publishing."""
 
 
 class Status(NamedTuple):
@@ -91,7 +91,7 @@ class Bridging:
         self,
         config: Bridge,
         inlet: Client,
-        outlet: Outlet,
+        outlet: Publisher | NullOutlet,
         report: Callable[[str], None],
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:

@@ -3,7 +3,7 @@
 import time
 from typing import NamedTuple
 
-from softarm.drivers.bridge.bridging import Bridging, Status
+from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Status
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.frame import number_of
 from softarm.drivers.bridge.natnet import Body, Vector
@@ -32,16 +32,6 @@ class Found(NamedTuple):
     rows: list[Row]
     status: Status
     problem: str | None
-
-
-class NullOutlet:
-    """Outlet that drops all frames."""
-
-    sent = without_daemon = 0
-    daemon_listens = False
-
-    def put(self, frame: bytes) -> None:
-        """Drop a frame without publishing."""
 
 
 def look_at(config: Bridge, inlet: Client, patience_s: float) -> Found:

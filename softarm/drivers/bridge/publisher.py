@@ -1,7 +1,6 @@
 """Publisher of frames to the daemon over Zenoh; without a listening daemon frames are counted and dropped."""
 
 import contextlib
-import threading
 from collections.abc import Callable
 
 import zenoh
@@ -14,23 +13,15 @@ from softarm.schemas.bridge import Listener
 CHECK_S = 0.5
 
 
-class Publisher:
+class Publisher(ClientThread):
     """Publisher that never waits for the daemon, which may start later or restart."""
 
     def __init__(self, daemon: Listener, report: Callable[[str], None]) -> None:
+        super().__init__(daemon.endpoint, "publisher")
         self.sent = self.without_daemon = 0
         self.daemon_listens = False
         self._daemon, self._report = daemon, report
-        self._client = ClientThread(daemon.endpoint, "publisher", self._use)
         self._publisher: zenoh.Publisher | None = None
-
-    def open(self) -> None:
-        """Connect in a thread."""
-        self._client.open()
-
-    def close(self) -> None:
-        """Close the session and end its thread."""
-        self._client.close()
 
     def put(self, frame: bytes) -> None:
         """Publish a frame, or drop it."""
@@ -43,7 +34,7 @@ class Publisher:
         self.sent += self.daemon_listens
         self.without_daemon += not self.daemon_listens
 
-    def _use(self, session: zenoh.Session, stopping: threading.Event) -> None:
+    def _use(self, session: zenoh.Session) -> None:
         publisher = session.declare_publisher(
             self._daemon.key,
             encoding=zenoh.Encoding.APPLICATION_JSON.with_schema(payload.SCHEMA),
@@ -51,12 +42,12 @@ class Publisher:
             express=True,
         )
         self._publisher = publisher
-        while not stopping.is_set():
+        while not self._stopping.is_set():
             listens = bool(publisher.matching_status.matching)  # type: ignore[attr-defined]  # its stub says bool
             if listens != self.daemon_listens:
                 self.daemon_listens = listens
                 self._report(
                     f"the daemon at {self._daemon.endpoint} {'listens' if listens else 'is gone; waiting for it'}"
                 )
-            stopping.wait(CHECK_S)
+            self._stopping.wait(CHECK_S)
         self._publisher = None

@@ -5,7 +5,6 @@ In Zenoh 1.9 and later, peers do not relay between peers, but clients of one pee
 
 import json
 import threading
-from collections.abc import Callable
 
 import zenoh
 
@@ -43,11 +42,13 @@ def client(endpoint: str) -> zenoh.Config:
 
 
 class ClientThread:
-    """Session of a client on a thread of its own; the daemon may start later."""
+    """Session of a client on a thread of its own; the daemon may start later.
 
-    def __init__(self, endpoint: str, name: str, use: Callable[[zenoh.Session, threading.Event], None]) -> None:
-        """Prepare a session; `use` receives it once it is open and returns when the event is set."""
-        self._endpoint, self._use = endpoint, use
+    A subclass overrides `_use`, which receives the open session and returns once `_stopping` is set.
+    """
+
+    def __init__(self, endpoint: str, name: str) -> None:
+        self._endpoint = endpoint
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -71,9 +72,12 @@ class ClientThread:
         if session is None:
             return
         try:
-            self._use(session, self._stopping)
+            self._use(session)
         finally:
             session.close()  # type: ignore[no-untyped-call]
+
+    def _use(self, session: zenoh.Session) -> None:
+        raise NotImplementedError
 
 
 def _config(entries: dict[str, object]) -> zenoh.Config:

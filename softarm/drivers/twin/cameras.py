@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import json
-import threading
 from typing import Any
 
 import zenoh
@@ -43,23 +42,15 @@ class TwinState:
     faults: tuple[str, ...] = ()
 
 
-class Cameras:
+class Cameras(ClientThread):
     """Publisher of the twin. A missing daemon is no error; an invalid fault message is printed."""
 
     def __init__(self, config: Mocap, faults: Faults) -> None:
+        super().__init__(config.endpoint, "cameras")
         self._config, self._faults = config, faults
-        self._client = ClientThread(config.endpoint, "cameras", self._use)
         self._session: zenoh.Session | None = None
         self._subscriber: zenoh.Subscriber[Any] | None = None
         self._stuck: tuple[Pose, ...] | None = None
-
-    def open(self) -> None:
-        """Connect in a thread; the daemon may start later."""
-        self._client.open()
-
-    def close(self) -> None:
-        """Close the session and end its thread."""
-        self._client.close()
 
     def publish_frame(self, sequence: int, t_capture_ns: int, poses: tuple[Pose, ...]) -> None:
         """Publish a frame with the active faults applied."""
@@ -98,8 +89,8 @@ class Cameras:
                 congestion_control=zenoh.CongestionControl.DROP,
             )
 
-    def _use(self, session: zenoh.Session, stopping: threading.Event) -> None:
+    def _use(self, session: zenoh.Session) -> None:
         self._subscriber = session.declare_subscriber(FAULT_KEY, zenoh.handlers.RingChannel(16))
         self._session = session
-        stopping.wait()
+        self._stopping.wait()
         self._session = self._subscriber = None
