@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,45 +20,40 @@ class PolicyOutcome(NamedTuple):
     duration_ns: int  # as the caller saw it
 
 
-class PolicyRunner(Protocol):
-    """Runner of one policy. No method raises or waits longer than the policy's budget."""
+class PolicyRunner:
+    """Runner of one policy. No method raises or waits longer than the policy's budget.
 
-    @property
-    def policy(self) -> Policy:
-        """Policy that runs; callers may only read its `spec`."""
+    Callers may only read the `spec` of `policy`.
+    """
+
+    def __init__(self, policy: Policy, clock: Clock = time.monotonic_ns) -> None:
+        self.policy = policy
+        self._name = policy.spec.name
+        self._clock = clock
+        self._resets_wanted = 1  # a count, so that a request during a late step is not lost
+        self._resets_done = 0
 
     def reset(self) -> None:
-        """Reset the policy before its next step."""
+        """Reset the policy before its next step, in the thread of that step."""
+        self._resets_wanted += 1
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step on copies of observation and goal [2]; see `softarm.policies.base.Policy.step`."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """End the runner; it runs no further steps."""
 
-
-class _Guard:
-    """Call of a policy in the current thread, with every failure as a sentence."""
-
-    def __init__(self, policy: Policy) -> None:
-        self._policy = policy
-        self._name = policy.spec.name
-        self._resets_wanted = 1  # a count, so that a request during a late step is not lost
-        self._resets_done = 0
-
-    def ask_reset(self) -> None:
-        self._resets_wanted += 1
-
-    def call(self, observation: Array, goal: Array) -> tuple[Array | None, str | None]:
-        """Reset if requested, step and check the action. Raises nothing but KeyboardInterrupt."""
+    def _call(self, observation: Array, goal: Array) -> tuple[Array | None, str | None]:
+        """Reset if requested, step and check the action, in this thread. Raises nothing but KeyboardInterrupt."""
         doing = "reset"
         try:
             wanted = self._resets_wanted
             if self._resets_done != wanted:
-                self._policy.reset()
+                self.policy.reset()
                 self._resets_done = wanted
             doing = "step"
-            return self._checked(self._policy.step(observation, goal))
+            return self._checked(self.policy.step(observation, goal))
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a policy that calls sys.exit() must not end the daemon either
@@ -83,29 +78,17 @@ class _Guard:
         return f"policy '{self._name}': step returned {what}; it must return [cart velocity m/s, pressure kPa]"
 
 
-class InlineRunner:
+class InlineRunner(PolicyRunner):
     """Runner in the caller's thread without a budget, for repeatable lockstep runs."""
-
-    def __init__(self, policy: Policy, clock: Clock = time.monotonic_ns) -> None:
-        self.policy = policy
-        self._guard = _Guard(policy)
-        self._clock = clock
-
-    def reset(self) -> None:
-        """Reset the policy before its next step."""
-        self._guard.ask_reset()
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step, which takes as long as the policy needs."""
         start_ns = self._clock()
-        action, fault = self._guard.call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
+        action, fault = self._call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
         return PolicyOutcome(action, fault, self._clock() - start_ns)
 
-    def close(self) -> None:
-        """Do nothing: the runner has no thread."""
 
-
-class ThreadRunner:
+class ThreadRunner(PolicyRunner):
     """Runner with a separate thread; a step that takes longer than `budget_s` is abandoned.
 
     While an abandoned step still runs, further steps fail at once, and its result is discarded. Only one thread may
@@ -114,11 +97,8 @@ class ThreadRunner:
     """
 
     def __init__(self, policy: Policy, budget_s: float, clock: Clock = time.monotonic_ns) -> None:
-        self.policy = policy
-        self._name = policy.spec.name
+        super().__init__(policy, clock)
         self._budget_s = budget_s
-        self._clock = clock
-        self._guard = _Guard(policy)
         self._late_since_ns: int | None = None  # start of an abandoned step that still runs
         self._closed = False
         self._request: tuple[Array, Array] | None = None
@@ -129,10 +109,6 @@ class ThreadRunner:
         self._done.acquire()
         self._thread = threading.Thread(target=self._work, name=f"policy {self._name}", daemon=True)
         self._thread.start()
-
-    def reset(self) -> None:
-        """Reset the policy in its thread, within the budget of the next step."""
-        self._guard.ask_reset()
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step and return within `budget_s` plus the scheduler's delay."""
@@ -173,7 +149,7 @@ class ThreadRunner:
             if self._closed or self._request is None:
                 return
             try:
-                self._result = self._guard.call(*self._request)
+                self._result = self._call(*self._request)
             except KeyboardInterrupt:  # raised by the policy: signals go to the main thread
                 self._result = (None, f"policy '{self._name}': step raised KeyboardInterrupt")
             self._done.release()

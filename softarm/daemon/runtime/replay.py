@@ -29,27 +29,17 @@ class Difference:
     replayed: object
 
 
-class _RecordedFaults:
+class _RecordedFaults(InlineRunner):
     """Runner that computes the policy again and repeats the recorded faults, such as lateness."""
 
     recorded: Outputs  # of the present tick
 
-    def __init__(self, policy: Policy) -> None:
-        self._inline = InlineRunner(policy)
-        self.policy = policy
-
-    def reset(self) -> None:
-        self._inline.reset()
-
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
-        outcome = self._inline.step(observation, goal)
+        outcome = super().step(observation, goal)
         recorded = self.recorded
         if recorded.policy_fault is not None:
             return PolicyOutcome(None, recorded.policy_fault, recorded.policy_ns)
         return outcome._replace(duration_ns=recorded.policy_ns)
-
-    def close(self) -> None:
-        self._inline.close()
 
 
 COMPARED = ("mode", "estop", "sent", "action", "clamps", "observed", "goal", "events")
