@@ -96,6 +96,11 @@ class Line(NamedTuple):
     crooked_m: float
     crooked_at: tuple[float, float, float]
 
+    @property
+    def travel_m(self) -> float:
+        """Length of the path."""
+        return self.ends[1] - self.ends[0]
+
 
 class Hanging(NamedTuple):
     """Median pose of a body at rest; 19 of 20 frames are within `moved_m` of it."""
@@ -163,7 +168,6 @@ def calibrate(
     hinge_z = float(np.median([places[name][1] - shape[name].z_m for name in links]))
     across, along = hinge_y - places["cart"][0], hinge_z - places["cart"][1]
     beside = {name: places[name][0] - shape[name].y_m - hinge_y for name in links}
-    spacing = _spacing({name: z for name, (_, z) in places.items()})
     _refuse(_misplaced(across, along, beside))
     room = plane.model_copy(update={"origin_m": Plane(plane).point(across, hinge_z - HINGE_Z_M)})
     found = {name: _mark(getattr(marks, name), each, Plane(room), shape[name]) for name, each in hang.items()}
@@ -172,12 +176,12 @@ def calibrate(
     return Found(
         room=room,
         marks=Marks.model_validate({name: found.get(name) for name in BODY_NAMES}),
-        travel_m=line.ends[1] - line.ends[0],
+        travel_m=line.travel_m,
         crooked_m=line.crooked_m,
         floor_m=floor_m,
         beside_m=beside,
         noise_m=max(each.moved_m for each in hang.values()),
-        notes=tuple(_notes(line, floor_m, beside, spacing, middle_here)),
+        notes=tuple(_notes(line, floor_m, beside, {name: z for name, (_, z) in places.items()}, middle_here)),
     )
 
 
@@ -191,7 +195,7 @@ def check_rest(rest: Sequence[Sample], marks: Marks) -> tuple[dict[str, Hanging]
     vertical = np.array(level(up)[2])
     heights = {name: float(np.array(each.position_m) @ vertical) for name, each in hang.items()}
     _refuse(_out_of_order(heights))
-    _refuse(_badly_spaced(_spacing(heights)))
+    _refuse(_badly_spaced(heights))
     return hang, up
 
 
@@ -317,7 +321,7 @@ def _ends(steps: Array) -> tuple[float, float]:
 
 
 def _bad_push(line: Line, middle_here: bool) -> Iterator[str]:
-    travel = line.ends[1] - line.ends[0]
+    travel = line.travel_m
     least = PUSH_MIN_M if middle_here else SHORT_M
     if travel < least:
         whole = (
@@ -351,24 +355,20 @@ def _out_of_order(heights: Mapping[str, float]) -> Iterator[str]:
         yield f"the order from the top is {', '.join(there)}, expected {', '.join(wanted)}; rename them in Motive"
 
 
-def _wanted_spacing(pair: str) -> float:
-    above, _, below = pair.partition("-")
-    return depth(below) - depth(above)
+def _wrong_spacing(heights: Mapping[str, float], tolerance_m: float) -> Iterator[tuple[str, str, float, float]]:
+    """Yield neighbouring links with a wrong distance, the distance and the expected one."""
+    for above, below in pairwise(name for name in heights if name != "cart"):
+        apart, wanted = heights[above] - heights[below], depth(below) - depth(above)
+        if abs(apart - wanted) > tolerance_m:
+            yield above, below, apart, wanted
 
 
-def _spacing(heights: Mapping[str, float]) -> dict[str, float]:
-    links = [name for name in heights if name != "cart"]
-    return {f"{a}-{b}": heights[a] - heights[b] for a, b in pairwise(links)}
-
-
-def _badly_spaced(spacing: Mapping[str, float]) -> Iterator[str]:
-    for pair, apart in spacing.items():
-        if abs(apart - _wanted_spacing(pair)) > SPACING_REFUSED_M:
-            above, _, below = pair.partition("-")
-            yield (
-                f"{above} and {below} are {apart:.4f} m apart at rest, {_wanted_spacing(pair):.4f} m expected; "
-                "move the markers, and their pivots in Motive, to the far ends of the links"
-            )
+def _badly_spaced(heights: Mapping[str, float]) -> Iterator[str]:
+    for above, below, apart, wanted in _wrong_spacing(heights, SPACING_REFUSED_M):
+        yield (
+            f"{above} and {below} are {apart:.4f} m apart at rest, {wanted:.4f} m expected; "
+            "move the markers, and their pivots in Motive, to the far ends of the links"
+        )
 
 
 def _misplaced(across: float, along: float, beside: Mapping[str, float]) -> Iterator[str]:
@@ -389,9 +389,9 @@ def _mark(mark: Marked, hang: Hanging, plane: Plane, rest: Rest) -> Marked:
 
 
 def _notes(
-    line: Line, floor_m: float, beside: Mapping[str, float], spacing: Mapping[str, float], middle_here: bool
+    line: Line, floor_m: float, beside: Mapping[str, float], heights: Mapping[str, float], middle_here: bool
 ) -> Iterator[str]:
-    travel = line.ends[1] - line.ends[0]
+    travel = line.travel_m
     if not middle_here and abs(travel - TRAVEL_M) > TRAVEL_NOTED_M:
         rail = f"the rail has {TRAVEL_M:.2f}"
         yield f"the cart moved {travel:.3f} m, {rail} m: the middle is right only if both ends were the stops"
@@ -399,9 +399,8 @@ def _notes(
         side = "above" if floor_m > 0 else "below"
         given = f"if the first hinge is {HINGE_Z_M} m high and the markers are at the far ends of the links"
         yield f"the cameras' ground plane is {abs(floor_m):.3f} m {side} the floor, {given}"
-    for pair, apart in spacing.items():
-        if abs(apart - _wanted_spacing(pair)) > SPACING_NOTED_M:
-            yield f"{pair} are {apart:.4f} m apart, {_wanted_spacing(pair):.4f} m expected"
+    for above, below, apart, wanted in _wrong_spacing(heights, SPACING_NOTED_M):
+        yield f"{above}-{below} are {apart:.4f} m apart, {wanted:.4f} m expected"
     for name, off in beside.items():
         if abs(off) > BESIDE_NOTED_M:
             cause = "check its pivot, and the shape of the arm at rest"

@@ -5,7 +5,7 @@ docs/hardware/bridge.md states which were tested. `decode` raises ValueError, an
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 # Bytes of the longest UDP datagram.
@@ -294,9 +294,9 @@ def _models(reader: _Reader, version: Version) -> Models:
             if end is None:
                 _skip_rigid_body(reader, version)
         elif end is None:
-            if kind not in _SKIP_MODEL:
+            if kind not in _OTHER_MODELS:
                 raise ValueError(f"a model of kind {kind}, unknown in NatNet {version[0]}.{version[1]}")
-            _SKIP_MODEL[kind](reader, version)
+            _skip_model(reader, kind, version)
         if end is not None:
             if reader.at > end:
                 raise ValueError(f"a model is longer than its declared {size} bytes")
@@ -319,46 +319,36 @@ def _skip_texts(reader: _Reader, count: int) -> None:
         reader.text("a name")
 
 
-def _skip_set_model(reader: _Reader, _: Version) -> None:
-    reader.text("a marker set's name")
-    _skip_texts(reader, reader.count("names"))
+def _skip_model(reader: _Reader, kind: int, version: Version) -> None:
+    for size, what in _OTHER_MODELS[kind]:
+        if size == _TEXT:
+            reader.text(what)
+        elif size == _TEXTS:
+            _skip_texts(reader, reader.count(what))
+        else:
+            reader.skip(size, what)
+    if kind == _SKELETON:
+        for _ in range(reader.count("bones")):
+            reader.text("a bone's name")
+            reader.skip(4, "a bone's id")
+            _skip_rigid_body(reader, version)
 
 
-def _skip_skeleton_model(reader: _Reader, version: Version) -> None:
-    reader.text("a skeleton's name")
-    reader.skip(4, "a skeleton's id")
-    for _ in range(reader.count("bones")):
-        reader.text("a bone's name")
-        reader.skip(4, "a bone's id")
-        _skip_rigid_body(reader, version)
-
-
-def _skip_plate_model(reader: _Reader, _: Version) -> None:
-    reader.skip(4, "a force plate's id")
-    reader.text("a force plate's number")
-    reader.skip(4 * (2 + 3 + 144 + 12 + 2), "a force plate")
-    _skip_texts(reader, reader.count("channels"))
-
-
-def _skip_device_model(reader: _Reader, _: Version) -> None:
-    reader.skip(4, "a device's id")
-    reader.text("a device's name")
-    reader.text("a device's number")
-    reader.skip(8, "a device")
-    _skip_texts(reader, reader.count("channels"))
-
-
-def _skip_camera_model(reader: _Reader, _: Version) -> None:
-    reader.text("a camera's name")
-    reader.skip(28, "a camera")
-
-
-_SKIP_MODEL: Mapping[int, Callable[[_Reader, Version], None]] = {
-    0: _skip_set_model,
-    2: _skip_skeleton_model,
-    3: _skip_plate_model,
-    4: _skip_device_model,
-    5: _skip_camera_model,
+_TEXT, _TEXTS = -1, -2
+_SKELETON = 2
+# Fields of other models by kind: their bytes, a text, or a number of texts.
+_OTHER_MODELS: Mapping[int, Sequence[tuple[int, str]]] = {
+    0: ((_TEXT, "a marker set's name"), (_TEXTS, "names")),
+    _SKELETON: ((_TEXT, "a skeleton's name"), (4, "a skeleton's id")),
+    3: ((4, "a force plate's id"), (_TEXT, "a force plate's number"), (652, "a force plate"), (_TEXTS, "channels")),
+    4: (
+        (4, "a device's id"),
+        (_TEXT, "a device's name"),
+        (_TEXT, "a device's number"),
+        (8, "a device"),
+        (_TEXTS, "channels"),
+    ),
+    5: ((_TEXT, "a camera's name"), (28, "a camera")),
 }
 _READ: Mapping[int, Callable[[_Reader, Version], Message]] = {
     SERVER_INFO: _server,
