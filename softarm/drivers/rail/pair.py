@@ -10,17 +10,16 @@ import struct
 import time
 from typing import NamedTuple
 
-VERSION = 1
+VERSION = 2
 PACKET_MAX = 8192  # bytes
 # Longest time between two reports.
 HEARTBEAT_S = 0.05
 
 _BEGIN = struct.Struct("<BB")
-_SET_POINT = struct.Struct("<BBIIqd")
-_REPORT = struct.Struct("<BBIqqqdd")
-_ENABLE = 1
-_OUT_OF_OPERATION, _READING, _ENABLED, _REMOTE, _PROBLEM, _HOMED, _NOT_HOMED = (1 << bit for bit in range(7))
-_HOMED_FLAGS = {True: _HOMED, False: _NOT_HOMED, None: 0}
+# Version, then the fields in their order.
+_SET_POINT = struct.Struct("<BIq?dI")
+# Version, number, out of operation, with a reading, with a problem; then the reading, homed as -1, 0 or 1.
+_REPORT = struct.Struct("<BI???qdd??qqb")
 
 
 class SetPoint(NamedTuple):
@@ -55,6 +54,9 @@ class Reading(NamedTuple):
     homed: bool | None = None
 
 
+_NO_READING = Reading(0, 0.0, 0.0, False, False, 0, 0, ())
+
+
 class Report(NamedTuple):
     """State of the rail's process, sent after every poll and at least at the rate of its heartbeat.
 
@@ -85,46 +87,33 @@ def decode_begin(packet: bytes) -> bool:
 
 def encode_set_point(message: SetPoint) -> bytes:
     """Return the packet of a set-point."""
-    number, t_ns, enable, velocity_m_s, acknowledged = message
-    return _SET_POINT.pack(VERSION, _ENABLE if enable else 0, number, acknowledged, t_ns, velocity_m_s)
+    return _SET_POINT.pack(VERSION, *message)
 
 
 def decode_set_point(packet: bytes) -> SetPoint:
     """Return the set-point in a packet. Raises ValueError on another version or length."""
     if len(packet) != _SET_POINT.size or packet[0] != VERSION:
         raise ValueError(f"{packet[:32].hex()} is not a set-point of version {VERSION}")
-    _, flags, number, acknowledged, t_ns, velocity_m_s = _SET_POINT.unpack(packet)
-    return SetPoint(number, t_ns, bool(flags & _ENABLE), velocity_m_s, acknowledged)
+    return SetPoint._make(_SET_POINT.unpack(packet)[1:])
 
 
 def encode_report(message: Report) -> bytes:
     """Return the packet of a report. Text beyond the end of the packet is cut."""
-    flags = (_OUT_OF_OPERATION if message.out_of_operation else 0) | (_PROBLEM if message.problem is not None else 0)
-    if message.reading is None:
-        head = _REPORT.pack(VERSION, flags, message.received, 0, 0, 0, 0.0, 0.0)
-        faults: tuple[str, ...] = ()
-    else:
-        t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, faults, homed = message.reading
-        flags |= _READING | _HOMED_FLAGS[homed] | (_ENABLED if enabled else 0) | (_REMOTE if remote else 0)
-        head = _REPORT.pack(VERSION, flags, message.received, t_ns, p50_ns, max_ns, position_m, velocity_m_s)
-    return (head + "\0".join((message.problem or "", *faults)).encode())[:PACKET_MAX]
+    received, out_of_operation, reading, problem = message
+    *values, faults, homed = reading or _NO_READING
+    known = (received, out_of_operation, reading is not None, problem is not None)
+    head = _REPORT.pack(VERSION, *known, *values, -1 if homed is None else homed)
+    return (head + "\0".join((problem or "", *faults)).encode())[:PACKET_MAX]
 
 
 def decode_report(packet: bytes) -> Report:
     """Return the report in a packet. Raises ValueError on another version or on a packet that is too short."""
     if len(packet) < _REPORT.size or packet[0] != VERSION:
         raise ValueError(f"{packet[:32].hex()} is not a report of version {VERSION}")
-    _, flags, received, t_ns, p50_ns, max_ns, position_m, velocity_m_s = _REPORT.unpack_from(packet)
+    _, received, out_of_operation, has_reading, has_problem, *values, homed = _REPORT.unpack_from(packet)
     problem, *faults = packet[_REPORT.size :].decode(errors="replace").split("\0")
-    enabled, remote = bool(flags & _ENABLED), bool(flags & _REMOTE)
-    homed = next(value for value, flag in _HOMED_FLAGS.items() if flags & flag == flag)
-    reading = Reading(t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, tuple(faults), homed)
-    return Report(
-        received,
-        bool(flags & _OUT_OF_OPERATION),
-        reading if flags & _READING else None,
-        problem if flags & _PROBLEM else None,
-    )
+    reading = Reading._make((*values, tuple(faults), None if homed < 0 else bool(homed)))
+    return Report(received, out_of_operation, reading if has_reading else None, problem if has_problem else None)
 
 
 class HungUp(Exception):
