@@ -40,18 +40,7 @@ _READ_ONLY = (
     dryve.HOMING_METHOD,
     dryve.HOMING_STATUS,
 )
-_STORED = (
-    dryve.CONTROLWORD,
-    dryve.MODE,
-    dryve.ACCELERATION,
-    dryve.DECELERATION,
-    dryve.QUICK_STOP,
-    dryve.TARGET_VELOCITY,
-    dryve.HOMING_SPEED,
-    dryve.HOMING_CREEP,
-    dryve.HOMING_ACCELERATION,
-)
-_ENTRIES = {(entry.index, entry.sub): entry for entry in _READ_ONLY + _STORED}
+_ENTRIES = {(entry.index, entry.sub): entry for entry in vars(dryve).values() if isinstance(entry, Entry)}
 _ABSENT, _NOT_WRITABLE, _TOO_LONG, _OUT_OF_RANGE = 0x06020000, 0x06010002, 0x06070012, 0x06090030
 
 

@@ -8,7 +8,6 @@ brakes by itself.
 import asyncio
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from softarm.drivers.regulator.driver import TeensyRegulator
@@ -29,9 +28,7 @@ class Relay:
         self._regulator.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         asyncio.run(self._regulator.stop())
 
     def hold(self) -> None:

@@ -7,7 +7,6 @@ import select
 import socket
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import NamedTuple, Self, TypeVar
 
 from softarm.drivers.base import DeviceError
@@ -86,9 +85,7 @@ class DriveSession:
             raise self._described(error) from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._drive.close()
 
     def poll(self) -> Feedback:
