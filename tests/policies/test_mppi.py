@@ -10,7 +10,7 @@ from benchmarks import commands
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import PolicyError
 from softarm.policies.mppi import plans
-from softarm.policies.mppi.cost import Cost
+from softarm.policies.mppi.cost import cost
 from softarm.policies.mppi.estimator import Estimator
 from softarm.policies.mppi.policy import Mppi
 from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
@@ -212,7 +212,7 @@ class TestCost:
         return np.array(steps, dtype=np.float32)
 
     def cost(self, *arguments, **keywords) -> float:
-        return float(Cost().of(self.path(*arguments, **keywords), np.array([0.0, 0.6], np.float32), 1 / 30)[0])
+        return float(cost(self.path(*arguments, **keywords), np.array([0.0, 0.6], np.float32), 1 / 30)[0])
 
     def test_the_cost_prefers_near_then_early_and_late_over_missed(self):
         assert self.cost([0.2, 0.05]) < self.cost([0.2, 0.1])

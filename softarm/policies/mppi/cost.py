@@ -1,35 +1,32 @@
 """Cost of a simulated plan, in pure numpy."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
+from softarm.policies.base import Array
 from softarm.schemas.config import RailLimits
 
-Array = NDArray[np.float32]
+# Weights in metres.
+CLOSE_M = 0.010  # nearer than this is near enough
+FAR_M, FAR_WEIGHT = 0.030, 10.0  # beyond this distance the target is probably missed; weight of each metre beyond
+WAIT_M_S = 0.03  # per second of flight
+RAIL_M, RAIL_WEIGHT = 0.237, 10.0  # position at which a cart must be able to stop
+BRAKING_M_S2 = RailLimits().braking_m_s2  # by the law of the safety filter
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Weights in metres: the cost of a plan is its smallest distance plus the cost of the way there."""
+def cost(path: Array, target_m: Array, period_s: float) -> Array:
+    """Return the costs [N] of paths: the smallest distance from the target plus the cost of the way there.
 
-    close_m: float = 0.010  # nearer than this is near enough
-    far_m: float = 0.030  # beyond this distance the target is probably missed
-    far_weight: float = 10.0  # of each metre beyond
-    wait_m_s: float = 0.03  # per second of flight
-    rail_m: float = 0.237  # position at which a cart must be able to stop
-    rail_weight: float = 10.0
-    braking_m_s2: float = RailLimits().braking_m_s2  # by the law of the safety filter
-
-    def of(self, path: Array, target_m: Array, period_s: float) -> Array:
-        """Return costs [N] of paths [T, 4, N] (cart y and velocity, tip y and z) to a target [2]; NaN is infinite."""
-        cart, velocity, tip_y, tip_z = (path[:, row] for row in range(4))
-        distance = np.hypot(tip_y - target_m[0], tip_z - target_m[1])
-        worth = np.maximum(distance - np.float32(self.close_m), 0.0)
-        worth += self.far_weight * np.maximum(distance - np.float32(self.far_m), 0.0)
-        worth += (self.wait_m_s * period_s * np.arange(len(path), dtype=np.float32))[:, None]
-        stop = cart + np.float32(0.5 / self.braking_m_s2) * velocity * np.abs(velocity)
-        reach = np.maximum(np.abs(stop), np.abs(cart)).max(axis=0)
-        cost = worth.min(axis=0) + self.rail_weight * np.maximum(reach - np.float32(self.rail_m), 0.0)
-        return np.where(np.isnan(cost), np.float32(np.inf), cost).astype(np.float32)
+    Args:
+        path: Cart y and velocity, tip y and z, [T, 4, N]; a path with NaN has infinite cost.
+        target_m: y and z, [2].
+        period_s: Time between two points of a path.
+    """
+    cart, velocity, tip_y, tip_z = (path[:, row] for row in range(4))
+    distance = np.hypot(tip_y - target_m[0], tip_z - target_m[1])
+    worth = np.maximum(distance - np.float32(CLOSE_M), 0.0)
+    worth += FAR_WEIGHT * np.maximum(distance - np.float32(FAR_M), 0.0)
+    worth += (WAIT_M_S * period_s * np.arange(len(path), dtype=np.float32))[:, None]
+    stop = cart + np.float32(0.5 / BRAKING_M_S2) * velocity * np.abs(velocity)
+    reach = np.maximum(np.abs(stop), np.abs(cart)).max(axis=0)
+    total = worth.min(axis=0) + RAIL_WEIGHT * np.maximum(reach - np.float32(RAIL_M), 0.0)
+    return np.where(np.isnan(total), np.float32(np.inf), total).astype(np.float32)

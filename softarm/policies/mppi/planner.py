@@ -3,17 +3,14 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from softarm.policies.base import HIGH, LOW
+from softarm.policies.base import HIGH, LOW, Array
 from softarm.policies.mppi import plans
-from softarm.policies.mppi.cost import Cost
+from softarm.policies.mppi.cost import cost
 from softarm.schemas.model import Model
 
 if TYPE_CHECKING:
     from softarm.simulator.simulator import Simulator
-
-Array = NDArray[np.float32]
 
 PHYSICS_HZ = 120.0  # coarse: the next tick corrects the error of some mm at a plan's end
 KEPT_SHARE = 1 / 8  # of a round's plans, varied in the next round
@@ -30,7 +27,6 @@ class Planner:
         self._simulator: Simulator = Simulator(model, robots=rollouts, physics_rate_hz=PHYSICS_HZ)
         self._rollouts, self._steps, self._period_s = rollouts, steps, period_s
         self._kept = round(KEPT_SHARE * rollouts)
-        self._cost = Cost()
         self.begin(np.zeros(2, dtype=np.float32), seed=0)
 
     def begin(self, command: Array, seed: int) -> None:
@@ -60,7 +56,7 @@ class Planner:
         self._simulator.take_over(robot)
         velocity, pressure = (HALF[i] * flown[i] + CENTRE[i] for i in (0, 1))
         path = self._simulator.fly(velocity, pressure, self._period_s)
-        costs = self._cost.of(path, target_m, self._period_s)
+        costs = cost(path, target_m, self._period_s)
         best = np.argsort(costs, kind="stable")[: self._kept]
         self._plans, self.cost = flown[:, :, best], float(costs[best[0]])
 

@@ -4,9 +4,8 @@ A plan has one command per control step, each in -1 .. 1: float32 [2, T, N], car
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from softarm.policies.base import Array
 
 KNOT_STEPS = 5  # control steps between the knots of a change
 SPREAD_LOW, SPREAD_HIGH = 0.02, 1.0  # standard deviation of a change, share of half the range
