@@ -86,21 +86,15 @@ def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: floa
         raise PolicyError(f"policy '{name}': its process ended {ended} during its trial; repair it")
 
 
-def _problem(name: str) -> str:
-    """Return the problem of a policy, or an empty text."""
-    configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
-    try:
-        ready(registry.load(name, configured))
-    except PolicyError as error:
-        return str(error)
-    return ""
-
-
 def main() -> None:
     """Run as the trial's process; it does not return."""
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_MAX, hard))
     answer = os.dup(1)
     os.dup2(2, 1)  # keep output of the plug-in out of the answer
-    os.write(answer, _problem(sys.argv[1]).encode())
+    configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
+    try:
+        ready(registry.load(sys.argv[1], configured))
+    except PolicyError as error:
+        os.write(answer, str(error).encode())
     os._exit(0)  # do not wait for threads of the plug-in
