@@ -126,7 +126,7 @@ class DryveLink:
             self._line.shutdown(socket.SHUT_WR)
             # Unread answers would turn the close into a reset, which may overtake the stop.
             until_s = time.monotonic() + LINGER_S
-            while (left_s := until_s - time.monotonic()) > 0 and _readable(self._line, left_s):
+            while (left_s := until_s - time.monotonic()) > 0 and is_ready(self._line, select.POLLIN, left_s):
                 if not self._line.recv(4096):
                     break
         except OSError:
@@ -187,10 +187,11 @@ def _connect(line: socket.socket, where: object, wait: Wait, timeout_s: float) -
             raise OSError(number, os.strerror(number)) from None
 
 
-def _readable(line: socket.socket, seconds: float) -> bool:
+def is_ready(line: socket.socket, events: int, seconds: float) -> bool:
+    """Return whether a socket is ready within a time: a `Wait` that does no other work."""
     poll = select.poll()
-    poll.register(line, select.POLLIN)
-    return bool(poll.poll(seconds * 1e3))
+    poll.register(line, events)
+    return bool(poll.poll(1e3 * max(0.0, seconds)))
 
 
 def describe_error(error: Exception, connected: bool, then: str = "") -> tuple[str, str, str]:

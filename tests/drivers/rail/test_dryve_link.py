@@ -1,8 +1,6 @@
 """One connection to the drive: answers to other requests are skipped within bounds."""
 
 import asyncio
-import select
-import socket
 import time
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +8,7 @@ from typing import Any
 import pytest
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.dryve_link import SKIPPED_MAX, DryveLink
+from softarm.drivers.rail.dryve_link import SKIPPED_MAX, DryveLink, is_ready
 
 PATIENCE_S = 5.0
 OTHER = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
@@ -31,7 +29,7 @@ def linked() -> Callable[..., None]:
             writer.close()
 
         def talk(port: int) -> None:
-            link = DryveLink.open(("127.0.0.1", port), wait, 1.0, timeout_s)
+            link = DryveLink.open(("127.0.0.1", port), is_ready, 1.0, timeout_s)
             script(link)
             link.close()
 
@@ -39,12 +37,6 @@ def linked() -> Callable[..., None]:
             await asyncio.to_thread(talk, server.sockets[0].getsockname()[1])
 
     return lambda script, answers, timeout_s=PATIENCE_S: asyncio.run(play(script, answers, timeout_s))
-
-
-def wait(line: socket.socket, events: int, seconds: float) -> bool:
-    poll = select.poll()
-    poll.register(line, events)
-    return bool(poll.poll(seconds * 1e3))
 
 
 def acknowledge(telegram: bytes) -> bytes:

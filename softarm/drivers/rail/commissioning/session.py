@@ -3,7 +3,6 @@
 Every connection begins and ends with a stop.
 """
 
-import select
 import socket
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning.search import Search
 from softarm.drivers.rail.drive import Drive
-from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS, describe_error
+from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS, describe_error, is_ready
 from softarm.drivers.rail.feedback import Feedback
 from softarm.drivers.rail.settings import Settings
 
@@ -202,9 +201,7 @@ class DriveSession:
 
     def _wait(self, line: socket.socket, events: int, seconds: float) -> bool:
         self._on_exchange()
-        poll = select.poll()
-        poll.register(line, events)
-        return bool(poll.poll(1e3 * max(0.0, seconds)))
+        return is_ready(line, events, seconds)
 
     def _request(self, ask: Callable[[], T]) -> T:
         try:
