@@ -55,8 +55,7 @@ def list_faults(reality: bool | None) -> None:
     """Print the faults of the wires, and those of the independent or the simulated robot unless reality is None."""
     from softarm.drivers.twin.faults import described
 
-    rows = [(fault.name, fault.value, fault.meaning) for fault in described()]
-    print_table(("fault", "VALUE", "meaning"), rows, "faults of the wires", WIDTH)
+    print_table(("fault", "VALUE", "meaning"), described(), "faults of the wires", WIDTH)
     if reality is not None:
         columns = ("fault", "VALUE", "meaning")
         rows_of_robot = _independent() if reality else _simulated()

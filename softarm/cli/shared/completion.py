@@ -73,5 +73,5 @@ def faults(context: click.Context, _: click.Parameter, begun: str) -> list[Compl
     """Complete faults of the twin's wires."""
     from softarm.drivers.twin.faults import described
 
-    items = [CompletionItem(fault.name, help=fault.meaning) for fault in described()]
+    items = [CompletionItem(name, help=meaning) for name, _, meaning in described()]
     return [*_items(["list"], begun), *(item for item in items if item.value.startswith(begun))]

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from softarm.common.words import did_you_mean
 from softarm.schemas.messages import BODY_NAMES
@@ -111,17 +110,9 @@ def _arguments(name: str) -> tuple[str, ...]:
     return ("seconds",) if name in LASTING else ()
 
 
-class Described(NamedTuple):
-    """Description of a fault, written as NAME or NAME=VALUE; `value` states the allowed values, empty without any."""
-
-    name: str
-    value: str
-    meaning: str
-
-
-def described() -> list[Described]:
-    """Return the descriptions of all faults, sorted by name."""
-    return [Described(name, _value(name), MEANINGS[name]) for name in sorted(MEANINGS)]
+def described() -> list[tuple[str, str, str]]:
+    """Return the name, the allowed values of NAME=VALUE (empty without any) and the meaning of all faults, by name."""
+    return [(name, _value(name), MEANINGS[name]) for name in sorted(MEANINGS)]
 
 
 def _value(name: str) -> str:
