@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from onnx import numpy_helper
 
-from softarm.policies.base import MODELS, Policy, PolicyError
+from softarm.policies.base import Policy, PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL, Golden
 
@@ -24,33 +24,6 @@ def scaled(unit_actions):
     low = np.array([signal.low for signal in ACTION])
     high = np.array([signal.high for signal in ACTION])
     return low + (unit_actions + 1) / 2 * (high - low)
-
-
-def in_numpy(path, inputs):
-    """Return the actions [steps, 2] in -1..1 of a policy file from a zero state, in float64."""
-    stored = {each.name: numpy_helper.to_array(each).astype(float) for each in onnx.load(path).graph.initializer}
-    h = c = np.zeros(stored["lstm_r"].shape[2])
-    actions = []
-    for row in inputs:
-        scaled_row = (row - stored["observation_mean"]) / stored["observation_scale"]
-        normalised = np.clip(scaled_row, stored["observation_low"], stored["observation_high"])
-        features = normalised
-        for layer in range(3):
-            sums = stored[f"mlp_{layer}_weight"] @ features + stored[f"mlp_{layer}_bias"]
-            features = np.where(sums > 0, sums, np.expm1(np.minimum(sums, 0)))
-        features = np.concatenate((features, normalised))
-        gates = stored["lstm_w"][0] @ features + stored["lstm_r"][0] @ h + stored["lstm_b"][0].reshape(2, -1).sum(0)
-        i, o, f, g = np.split(gates, 4)  # the order of ONNX: input, output, forget, cell
-        c = c / (1 + np.exp(-f)) + np.tanh(g) / (1 + np.exp(-i))
-        h = np.tanh(c) / (1 + np.exp(-o))
-        normed = (h - h.mean()) / np.sqrt(h.var() + 1e-5) * stored["norm_scale"] + stored["norm_bias"]
-        actions.append(np.clip(stored["head_weight"] @ normed + stored["head_bias"], -1, 1))
-    return np.array(actions)
-
-
-def test_a_step_equals_numpy(golden):
-    expected = scaled(in_numpy(MODELS / "reach.onnx", np.array(golden.inputs)))
-    np.testing.assert_allclose(fly(OnnxPolicy("reach"), golden), expected, atol=2e-4)
 
 
 def test_a_step_equals_torch_and_is_scaled_to_units(golden):

@@ -258,26 +258,6 @@ def test_all_steps_run_on_one_separate_thread():
     assert threading.get_ident() not in seen
 
 
-def test_inline_and_threaded_give_the_same_actions():
-    def walk():
-        position = np.zeros(2, dtype=np.float32)
-
-        def step(observation, goal):
-            nonlocal position
-            position = position * np.float32(0.9) + observation[:2] * goal
-            return position
-
-        return Scripted(step)
-
-    one, other = InlineRunner(walk()), ThreadRunner(walk(), AMPLE_S)
-    random = np.random.default_rng(3)
-    for _ in range(200):
-        observation = random.standard_normal(8).astype(np.float32)
-        a, b = one.step(observation, GOAL), other.step(observation, GOAL)
-        assert (a.action == b.action).all()
-    other.close()
-
-
 def test_the_clock_is_injected():
     for make in (InlineRunner, lambda policy, clock: ThreadRunner(policy, AMPLE_S, clock)):
         ticks = iter(range(100, 1000, 7))
@@ -298,26 +278,3 @@ def test_the_fault_of_a_late_step_states_its_duration():
     assert late_at(5_066_000_000) == "late: policy 'slow' has not answered for 66 ms; its budget is 20 ms"
     policy.let_go.release(100)
     runner.close()
-
-
-def test_a_threaded_step_takes_a_few_bare_handovers_to_a_thread_and_back():
-    go, done = threading.Semaphore(0), threading.Semaphore(0)
-
-    def answer():
-        for _ in range(500):
-            go.acquire()
-            done.release()
-
-    thread = threading.Thread(target=answer)
-    thread.start()
-    runner = ThreadRunner(Scripted(), AMPLE_S)
-    bare, steps = [], []
-    for _ in range(500):
-        start_ns = time.monotonic_ns()
-        go.release()
-        done.acquire()
-        bare.append(time.monotonic_ns() - start_ns)
-        steps.append(runner.step(OBSERVATION, GOAL).duration_ns)
-    thread.join()
-    runner.close()
-    assert np.median(steps) < 20 * np.median(bare)
