@@ -2,8 +2,6 @@
 
 import os
 import stat
-import subprocess
-import sys
 import threading
 
 import pytest
@@ -42,26 +40,6 @@ def test_until_the_block_ends_readers_see_the_old_file(tmp_path):
         file.flush()
         assert path.read_text() == "old"
     assert path.read_text() == "new"
-
-
-def test_a_kill_half_way_leaves_the_old_file(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-    killed = f"""
-import os, signal
-from softarm.common import files
-with files.replacing({str(path)!r}) as file:
-    file.write(b"half of the n")
-    file.flush()
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-    assert subprocess.run([sys.executable, "-c", killed], check=False).returncode < 0
-    assert path.read_text() == "old"
-
-
-def test_an_error_names_the_missing_folder(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        files.write_text(tmp_path / "nowhere" / "a.txt", "x")
 
 
 def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 
 from softarm.common import processes
 from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar, left_s
+from tests.processes import until
 
 ROOT = Path(__file__).parents[2]
 # A program with a busy and a waiting worker; each writes its process number.
@@ -122,10 +122,10 @@ def test_workers_end_with_the_program_that_started_them(tmp_path, kill, end):
         start_new_session=True,  # a group of its own, as a shell gives it
     ) as program:
         try:
-            wait_for(lambda: len(list(folder.iterdir())) == 2)
+            until(lambda: len(list(folder.iterdir())) == 2)
             kill(program.pid, end)
             said = program.communicate(timeout=60)[1]
-            wait_for(lambda: not any(runs(path.name) for path in folder.iterdir()))
+            until(lambda: not any(runs(path.name) for path in folder.iterdir()))
         finally:
             program.kill()
     assert program.returncode != 0
@@ -138,13 +138,6 @@ def runs(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
-
-
-def wait_for(condition, seconds=60.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it took too long"
-        time.sleep(0.02)
 
 
 def test_a_short_bar_without_a_terminal_prints_nothing(capsys):
@@ -167,7 +160,7 @@ def test_long_work_without_reports_prints_one_line_without_a_terminal(capsys, mo
     with bar("flying") as shown:
         shown.report("flying, 1 of 2 flights", 0.0)
         said = []
-        wait_for(lambda: said.append(capsys.readouterr().err) or any(said))
+        until(lambda: said.append(capsys.readouterr().err) or any(said))
     assert "".join(said) == "flying, 1 of 2 flights ...\n"
     assert capsys.readouterr().err == ""
 
