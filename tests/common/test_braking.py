@@ -191,19 +191,6 @@ def test_less_information_allows_less_speed(age, latency, more):
         assert passed(age + more, latency, velocity) <= passed(age, latency, velocity) + step
 
 
-@given(speeds, st.tuples(speeds, speeds), st.tuples(positions, positions), speeds)
-def test_the_allowed_speed_rises_with_the_request_and_falls_near_the_end(sent, wanted, position, velocity):
-    rule, step = law(ends=(-FAR_M, 0.24)), 1.3 / 2**BISECTIONS
-    less, more = sorted(wanted)
-    near, far = sorted(position, reverse=True)
-
-    def passed(requested: float, where: float) -> float:
-        return rule.bound(requested, where, velocity, 0.02, [(0.033, sent)]).velocity_m_s
-
-    assert passed(less, near) <= passed(more, near) + step
-    assert passed(more, near) <= passed(more, far) + step
-
-
 @given(speeds, speeds, positions, speeds, st.integers(0, 100))
 def test_a_mirrored_cart_gets_the_mirrored_command(sent, wanted, position, velocity, age):
     age_s = age * STEP_S
@@ -260,11 +247,6 @@ def test_a_cart_outside_returns_slowly():
     assert law().bound(0.0, -0.28, 0.0) == (RETURN_SPEED_M_S, False, True)
 
 
-def test_a_reading_without_age_counts_as_new():
-    assert law().bound(1.0, 0.1, 0.5) == law().bound(1.0, 0.1, 0.5, 0.0)
-    assert law().bound(1.0, 0.1, 0.5) != law().bound(1.0, 0.1, 0.5, 0.1)
-
-
 def test_contradicting_ends_stop_the_cart():
     to_and_fro = [(k * TICK * STEP_S, (-1.0) ** k) for k in range(16, 0, -1)]
     assert law(latency=100).bound(1.0, 0.0, 0.0, 0.4, to_and_fro) == (0.0, True, True)
@@ -294,18 +276,6 @@ def test_a_command_allowed_by_both_ends_is_allowed_by_each(rule, sent, wanted, p
     upper, lower = rule._replace(position_min_m=-FAR_M), rule._replace(position_max_m=FAR_M)
     for one, back in ((upper, passed <= -RETURN_SPEED_M_S), (lower, passed >= RETURN_SPEED_M_S)):
         assert passed == 0.0 or back or one.bound(passed, position, velocity, age * STEP_S, sent).velocity_m_s == passed
-
-
-@pytest.mark.parametrize("age_s", [0.0, 0.02, 0.1])
-@pytest.mark.parametrize("lead", [0.01, 0.05, 0.09])
-def test_a_dragged_cart_is_braked_earlier(lead, age_s):
-    """A small lead over the set-point is the arm's drag, which lasts since the reading."""
-    set_points = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
-    position = 0.2325 - 0.05 * age_s
-    held, dragged = (
-        law().bound(0.1, position, velocity, age_s, set_points).velocity_m_s for velocity in (0.05, 0.05 + lead)
-    )
-    assert dragged < held - 0.6 * lead or dragged == -RETURN_SPEED_M_S
 
 
 @pytest.mark.parametrize("side", [-1, 1])
