@@ -51,7 +51,6 @@ def test_an_invalid_frame_is_not_published(bodies: tuple[Pose, ...]) -> None:
         (message(sequence=True), "sequence must be an integer"),
         (message(sequence=2**63), r"sequence must be an integer from 0 to 2\^63 - 1"),
         (message(bodies=["cart"]), "the names of bodies must be among"),
-        (message(bodies=None), "the names of bodies must be among"),
         (message(bodies={"cart": 7}), r"cart must be \[y, z, angle\] or null"),
         (message(bodies={"cart": {"y": 0, "z": 0, "angle": 0}}), r"cart must be \[y, z, angle\] or null"),
         (message(bodies={"cart": [0, 0, "x"]}), r"cart must be \[y, z, angle\]"),

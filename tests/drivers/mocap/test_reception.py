@@ -59,10 +59,3 @@ def test_clock_noise_of_5_ms_is_allowed(source):
     source.send(1, ahead_ns=5_000_000)
     assert source.events() == {}
     assert source.observer.good is not None
-
-
-def test_a_frame_no_newer_than_the_last_is_dropped(source):
-    source.send(1)
-    source.reception.accept(MocapFrame(7, source.now_ns, source.now_ns, POSES))
-    assert source.reception.misplaced == 1
-    assert "no newer than the last" in source.reception.sample_problem()

@@ -158,11 +158,6 @@ async def test_a_missing_answer_ends_the_connection_and_nothing_is_repeated(open
         bench.drive.script = lose_the_first_switch_on
         await bench.write_until(lambda: bench.axis.read() is not None)
         problems: list[str] = []
-
-        def keep_problem() -> bool:
-            problems.append(bench.axis.problem() or "")
-            return True
-
         await bench.write_until(
             lambda: problems.append(bench.axis.problem() or "") or "no answer within" in problems[-1], True, 0.3
         )

@@ -1,19 +1,14 @@
 """The regulator board receives disarmed commands while a tool uses the drive."""
 
-import asyncio
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
+from typing import Any
 
 from softarm.drivers.rail.commissioning.relay import Relay
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
 from softarm.schemas.config import SerialRegulator
-
-PATIENCE_S = 20.0
+from tests.processes import until
 
 
 class Board(TeensyDevice):
@@ -29,39 +24,23 @@ class Board(TeensyDevice):
         return answer
 
 
-@pytest.fixture
-def board(tmp_path: Path) -> Iterator[tuple[Board, SerialRegulator]]:
-    board, ready, ended = Board(), threading.Event(), asyncio.Event()
-    config = SerialRegulator(port=str(tmp_path / "regulator"))
-    loop = asyncio.new_event_loop()
+class Served(TeensyPort):
+    """Port that is opened and closed by coroutines."""
 
-    async def serve() -> None:
-        port = TeensyPort(Path(config.port), board, Faults(time.monotonic_ns), time.monotonic_ns, lambda: 0.0)
-        port.open()
-        ready.set()
-        await ended.wait()
-        port.close()
+    async def open(self) -> None:  # type: ignore[override]
+        super().open()
 
-    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
-    thread.start()
-    assert ready.wait(PATIENCE_S)
-    yield board, config
-    loop.call_soon_threadsafe(ended.set)
-    thread.join(PATIENCE_S)
-    loop.close()
+    async def close(self) -> None:  # type: ignore[override]
+        super().close()
 
 
-def test_a_held_relay_sends_disarmed_commands(board: tuple[Board, SerialRegulator]) -> None:
-    device, config = board
-    until_s = time.monotonic() + PATIENCE_S
-    with Relay(config) as relay:
-        while (relay.problem() is not None or len(device.states) < 5) and time.monotonic() < until_s:
-            relay.hold()
-            threading.Event().wait(0.002)
-        assert relay.problem() is None
+def test_a_held_relay_sends_disarmed_commands(tmp_path: Path, served: Any) -> None:
+    device, config = Board(), SerialRegulator(port=str(tmp_path / "regulator"))
+    port = Served(Path(config.port), device, Faults(time.monotonic_ns), time.monotonic_ns, lambda: 0.0)
+    with served(port), Relay(config) as relay:
+        until(lambda: relay.hold() or (relay.problem() is None and len(device.states) >= 5))
         assert not device.armed
         assert not device.faults
-    assert len(device.states) >= 5
 
 
 def test_commands_are_sent_at_most_every_20_ms(tmp_path: Path) -> None:
