@@ -69,20 +69,15 @@ def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) ->
 def _entry(
     name: str, plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]
 ) -> PolicyEntry:
+    """Return an entry with the spec of the class's `describe(**options)` if it exists, else with its `spec`."""
     try:
-        spec = replace(_describe(plugin, options, plugins), name=name)
+        make = installed_plugins.find(_KIND, plugin, plugins)
+        installed_plugins.check_interface(_KIND, plugin, make, INTERFACE)
+        installed_plugins.check_options(_KIND, plugin, make, options)
+        describe = getattr(make, "describe", None)
+        spec = describe(**options) if describe else getattr(make, "spec", None)
+        if not isinstance(spec, PolicySpec):
+            raise PolicyError(f"plugin '{plugin}' lacks a class attribute `spec` (policies.base.PolicySpec)")
+        return PolicyEntry(name, plugin, options, spec=replace(spec, name=name))
     except (Exception, SystemExit) as error:  # a module may even call sys.exit() while it is imported
         return PolicyEntry(name, plugin, options, error=installed_plugins.said(error))
-    return PolicyEntry(name, plugin, options, spec=spec)
-
-
-def _describe(plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]) -> PolicySpec:
-    """Return the spec from the class's `describe(**options)` if it exists, else from `spec`."""
-    make = installed_plugins.find(_KIND, plugin, plugins)
-    installed_plugins.check_interface(_KIND, plugin, make, INTERFACE)
-    installed_plugins.check_options(_KIND, plugin, make, options)
-    describe = getattr(make, "describe", None)
-    spec = describe(**options) if describe else getattr(make, "spec", None)
-    if not isinstance(spec, PolicySpec):
-        raise PolicyError(f"plugin '{plugin}' lacks a class attribute `spec` (policies.base.PolicySpec)")
-    return spec
