@@ -52,18 +52,14 @@ class Client:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._send(natnet.disconnect())
+        self._send(natnet.message(natnet.DISCONNECT))
         for opened in (self._commands, self._data):
             if opened is not None:
                 opened.close()
         self._selector.close()
 
     def poll(self, seconds: float = _POLL_S) -> list[StampedFrame]:
-        """Send the due messages, wait for frames, and return them, oldest first.
-
-        Args:
-            seconds: Longest wait.
-        """
+        """Send the due messages, wait for frames at most so many seconds, and return them, oldest first."""
         for datagram in self.conversation.due(time.monotonic_ns()):
             self._send(datagram)
         self._join()

@@ -103,12 +103,12 @@ class Conversation:
         if self.server is None:
             return datagrams
         if self.server.group is None and self._is_due("keep", now_ns, RETRY_NS):
-            datagrams.append(natnet.keep_alive())
+            datagrams.append(natnet.message(natnet.KEEP_ALIVE))
         if self._asks_layout:
             self._asks_layout = False
             datagrams.append(natnet.request_layout(LAYOUT))
         if self.wants_names and self._is_due("names", now_ns, RETRY_NS if not self.ids else NAMES_NS):
-            datagrams.append(natnet.request_models())
+            datagrams.append(natnet.message(natnet.REQUEST_MODELS))
         if self._is_due("echo", now_ns, ECHO_FIRST_NS if self._echoes < FIRST_ECHOES else ECHO_NS):
             self._asked.append(now_ns)
             datagrams.append(natnet.echo(now_ns))

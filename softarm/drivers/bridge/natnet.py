@@ -96,21 +96,6 @@ def connect() -> bytes:
     return message(CONNECT, sender + bytes(5))
 
 
-def keep_alive() -> bytes:
-    """Return a keep-alive: a unicast server forgets silent clients. It is not answered."""
-    return message(KEEP_ALIVE)
-
-
-def disconnect() -> bytes:
-    """Return the message that ends the stream."""
-    return message(DISCONNECT)
-
-
-def request_models() -> bytes:
-    """Return a request for `Models`."""
-    return message(REQUEST_MODELS)
-
-
 def request_layout(version: Version) -> bytes:
     """Return a request to a unicast server (4.0 or newer) for frames in an older layout than its own."""
     return message(REQUEST, f"Bitstream,{version[0]}.{version[1]}".encode() + b"\0")
@@ -149,7 +134,10 @@ def decode(datagram: bytes, version: Version | None) -> Message | None:
 
 
 def message(number: int, payload: bytes = b"") -> bytes:
-    """Return a message of a type."""
+    """Return a message of a type.
+
+    Without content are DISCONNECT, REQUEST_MODELS, and KEEP_ALIVE, which a unicast server expects and does not answer.
+    """
     return _HEAD.pack(number, len(payload)) + payload
 
 
