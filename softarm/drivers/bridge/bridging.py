@@ -104,11 +104,7 @@ class Bridging:
         self._minute = (clock(), self._figures())
 
     def step(self, seconds: float = 0.01) -> list[tuple[StampedFrame, tuple[Pose, ...]]]:
-        """Wait for frames, pass them to the daemon and return them with their poses.
-
-        Args:
-            seconds: Longest wait.
-        """
+        """Wait for frames at most so many seconds, pass them to the daemon and return them with their poses."""
         done = []
         for taken in self._inlet.poll(seconds):
             names, self._unnamed = self._inlet.conversation.names_of(self._config.bodies)

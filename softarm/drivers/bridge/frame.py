@@ -16,11 +16,7 @@ _UPRIGHT: Mapping[str, tuple[Vector, Vector, Vector]] = {
 
 
 def level(up: str) -> tuple[Vector, Vector, Vector]:
-    """Return the two horizontal axes and the vertical, right-handed: x, -z and y if y is up.
-
-    Args:
-        up: The vertical axis of the cameras, y or z.
-    """
+    """Return the horizontal axes and the vertical of cameras with y or z up, right-handed: x, -z and y if y is up."""
     return _UPRIGHT[up]
 
 
@@ -73,12 +69,7 @@ class View:
         self._marks: dict[str, Marked | None] = {name: getattr(marks, name) for name in BODY_NAMES}
 
     def of(self, bodies: Iterable[Body], names: Mapping[int, str]) -> tuple[Pose, ...]:
-        """Return the poses of a frame, in the order of `BODY_NAMES`.
-
-        Args:
-            bodies: Rigid bodies of the frame.
-            names: Name of the arm's body for each streaming id.
-        """
+        """Return the poses of a frame, in the order of `BODY_NAMES`; `names` are those of the streaming ids."""
         found = {names[body.id]: body for body in bodies if body.tracked and body.id in names}
         poses = []
         for name, mark in self._marks.items():
@@ -100,12 +91,7 @@ class View:
 
 
 def names_of(marks: Marks, ids: Mapping[str, int]) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Return the body names by streaming id, and the bodies that the server does not stream.
-
-    Args:
-        marks: Configured bodies.
-        ids: Streaming ids by the server's names.
-    """
+    """Return the body names by streaming id, and the bodies that the server, with its `ids`, does not stream."""
     names: dict[int, str] = {}
     missing = []
     for name in BODY_NAMES:

@@ -35,13 +35,7 @@ class Found(NamedTuple):
 
 
 def look_at(config: Bridge, inlet: Client, patience_s: float) -> Found:
-    """Inspect the stream for a second after the first frame.
-
-    Args:
-        config: Configuration of the bridge.
-        inlet: Source of the frames.
-        patience_s: Longest wait for the first frame.
-    """
+    """Inspect the stream for a second after the first frame, which may take up to `patience_s`."""
     bridging = Bridging(config, inlet, NullOutlet(), lambda text: None)
     until_ns = time.monotonic_ns() + round(patience_s * 1e9)
     counted: dict[int, int] = {}

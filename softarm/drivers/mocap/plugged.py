@@ -20,11 +20,7 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str, options: Mapping[str, Option]) -> "PluggedMocapSource":
-    """Return the device of an installed source.
-
-    Args:
-        name: Name of the entry point.
-        options: Arguments of the source.
+    """Return the device of an installed source, created with the options.
 
     Raises:
         PluginError: No such source, or it failed; with the cause and the next step.

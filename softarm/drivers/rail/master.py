@@ -50,14 +50,7 @@ class Master:
         may_move: bool,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Prepare to control the drive.
-
-        Args:
-            settings: Settings of the axis.
-            daemon: This process's end of the socket pair.
-            may_move: Whether the drive may be in operation without a master.
-            clock: Monotonic clock, ns.
-        """
+        """Prepare to control the drive, which `may_move` without a master; `daemon` is the end of the socket pair."""
         self._settings, self._clock = settings, clock
         self._daemon = DaemonLine(daemon)
         self._drive = Drive(settings, self._wait, self._attend)

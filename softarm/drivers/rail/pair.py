@@ -70,11 +70,7 @@ class Report(NamedTuple):
 
 
 def encode_begin(may_move: bool) -> bytes:
-    """Return the first packet, after which the process controls the drive.
-
-    Args:
-        may_move: Whether the drive may be in operation at this moment.
-    """
+    """Return the first packet, after which the process controls the drive, which may be in operation already."""
     return _BEGIN.pack(VERSION, may_move)
 
 

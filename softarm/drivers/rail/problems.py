@@ -38,12 +38,7 @@ class Problems:
         self._past = None
 
     def current(self, feedback: Feedback | None, enable: bool) -> str | None:
-        """Return the gravest problem as a sentence, or None.
-
-        Args:
-            feedback: Newest feedback of this connection.
-            enable: Whether the daemon requests operation.
-        """
+        """Return the gravest problem as a sentence, or None; `enable` is whether the daemon requests operation."""
         if self.connection is not None or feedback is None:
             return self.connection
         if self.configuration is not None:

@@ -66,11 +66,7 @@ class Reference:
         return self._search is not None
 
     def forget(self, axis_m: float) -> None:
-        """Lose the zero, as an incremental axis does without supply.
-
-        Args:
-            axis_m: Present position from the true zero, which becomes the new zero.
-        """
+        """Lose the zero, as an incremental axis does without supply: its position becomes the new zero."""
         self.homed, self.offset_m = False, -axis_m
         self.attained = self.failed = False
         self._search = None

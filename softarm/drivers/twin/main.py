@@ -91,13 +91,7 @@ class Twin:
         body: Body | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Create the robot.
-
-        Args:
-            config: Ports and settings, as for the daemon.
-            body: Robot behind the ports; the nominal simulated one by default.
-            clock: Monotonic clock, ns.
-        """
+        """Create the robot with the daemon's configuration; by default its body is the nominal simulated one."""
         drivers = config.drivers
         self.faults = Faults(clock)
         self._body: Body = body or SimulatedBody()

@@ -17,11 +17,7 @@ SETTLED_NS = 200_000_000
 
 
 def switch(endpoint: str, message: bytes) -> dict[str, Any]:
-    """Send a fault to the twin behind an endpoint and return its state 0.2 s later.
-
-    Args:
-        endpoint: Zenoh endpoint of the daemon.
-        message: Message for `Faults.apply`.
+    """Send a message for `Faults.apply` to the twin of the daemon at an endpoint; return its state 0.2 s later.
 
     Raises:
         DeviceError: The daemon or the twin does not run.

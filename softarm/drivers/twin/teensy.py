@@ -60,13 +60,7 @@ class TeensyDevice:
             self.faults |= Fault.TIME_TO_LIVE
 
     def receive(self, data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
-        """Return the answers to the messages that `data` completes.
-
-        Args:
-            data: Received bytes.
-            now_ns: Present time.
-            pressure_kpa: Reading of the sensor.
-        """
+        """Return the answers to the messages that `data` completes, with the sensor's reading."""
         self.watch(now_ns)
         answers = b""
         for body in self._deframer.feed(data):

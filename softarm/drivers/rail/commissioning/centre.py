@@ -60,12 +60,7 @@ class Centre(NamedTuple):
 
 
 def centre(samples: Sequence[Sample], rail: DryveRail) -> Centre:
-    """Return the middle of the rail from the samples of a push.
-
-    Args:
-        samples: Positions during the push.
-        rail: Configuration under which the samples were taken.
-    """
+    """Return the middle of the rail from the samples of a push, taken under the configuration `rail`."""
     axis = [each.axis_m for each in samples]
     low_m, high_m = (min(axis), max(axis)) if axis else (0.0, 0.0)
     if high_m - low_m < MOVED_M:

@@ -42,14 +42,7 @@ class Search:
     """
 
     def __init__(self, speed_m_s: float, creep_m_s: float, method: int | None, begun_ns: int) -> None:
-        """Begin a search.
-
-        Args:
-            speed_m_s: Speed towards the switch.
-            creep_m_s: Speed towards the zero.
-            method: The drive's homing method, or None if it does not report one.
-            begun_ns: Present time.
-        """
+        """Begin a search at a speed towards the switch and a creep towards the zero; `method` is the drive's."""
         self.failure: tuple[str, str] | None = None
         self.started = False
         self._speed_m_s, self._method = speed_m_s, method
