@@ -16,7 +16,7 @@ import numpy as np
 from softarm.drivers.bridge.frame import Plane, level, product
 from softarm.drivers.bridge.natnet import Body, Quaternion, Vector
 from softarm.schemas.bridge import Marked, Marks, Room
-from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.messages import BODY_NAMES, Pose
 from softarm.schemas.model import Arm
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
@@ -110,16 +110,8 @@ class Hanging(NamedTuple):
     moved_m: float
 
 
-class Rest(NamedTuple):
-    """Nominal pose of a body at rest, from the first hinge."""
-
-    y_m: float
-    z_m: float
-    angle_rad: float
-
-
-def rest_shape(straight: bool = False) -> dict[str, Rest]:
-    """Return the poses of the arm at rest without pressure: gravity, stiffness and constant torques in balance."""
+def rest_shape(straight: bool = False) -> dict[str, Pose]:
+    """Return the arm's poses at rest, from its first hinge: gravity, stiffness and constant torques in balance."""
     lengths, masses = np.array(ARM.link_length_m), np.array(ARM.link_mass_kg)
     angles = np.zeros(ARM.links)
     if not straight:
@@ -132,8 +124,10 @@ def rest_shape(straight: bool = False) -> dict[str, Rest]:
             slope = joints.T @ np.diag(stiffness) @ joints + np.diag(pull * np.cos(angles))
             angles = angles - np.linalg.solve(slope, torque)
     ends = zip(np.cumsum(lengths * np.sin(angles)), -np.cumsum(lengths * np.cos(angles)), angles, strict=True)
-    hinge = {BODY_NAMES[0]: Rest(0.0, 0.0, 0.0)}
-    return hinge | {name: Rest(*map(float, end)) for name, end in zip(BODY_NAMES[1:], ends, strict=True)}
+    hinge = {BODY_NAMES[0]: Pose(0.0, 0.0, 0.0)}
+    return hinge | {
+        name: Pose(float(y), float(z), float(angle)) for name, (y, z, angle) in zip(BODY_NAMES[1:], ends, strict=True)
+    }
 
 
 def calibrate(
@@ -382,7 +376,7 @@ def _misplaced(across: float, along: float, beside: Mapping[str, float]) -> Iter
             yield f"the cart's markers are {place}; check that they are the cart's"
 
 
-def _mark(mark: Marked, hang: Hanging, plane: Plane, rest: Rest) -> Marked:
+def _mark(mark: Marked, hang: Hanging, plane: Plane, rest: Pose) -> Marked:
     """Return the orientation of a body that hangs straight: the one at rest, rotated back by its angle at rest."""
     back = plane.turn(-rest.angle_rad)
     return Marked(rigid_body=mark.rigid_body, hanging=product(back, hang.orientation))
