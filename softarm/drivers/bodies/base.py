@@ -13,14 +13,12 @@ class Body(Protocol):
     """Robot with true state, sensors, and a step under commands.
 
     `now_ns` is the body's clock, nanoseconds since its creation: only `step` advances it, and every stamp is on it.
+    `travel_m` is the distance from the middle of the rail to either mechanical stop.
     Readings always show armed and enabled; the devices replace these fields.
     """
 
     now_ns: int
-
-    @property
-    def travel_m(self) -> float:
-        """Distance from the middle of the rail to either mechanical stop."""
+    travel_m: float
 
     @property
     def cart_position_m(self) -> float:

@@ -22,16 +22,12 @@ class IndependentBody:
     ) -> None:
         """Create the robot; arguments and errors are those of `softarm.reality.robot.Robot`."""
         self._robot = Robot(parameters, seed, cart_position_m=cart_position_m, hanging=True, shelf_m=shelf_m)
+        self.travel_m = self._robot.parameters.cart.travel_m
         self._truth = self._robot.truth
         # Readings of the devices before the first sample.
         self._pressure = PressureReading(0, self._truth.pressure_kpa, True)
         self._rail = RailReading(0, self._truth.cart_position_m, 0.0, True)
         self.now_ns = 0
-
-    @property
-    def travel_m(self) -> float:
-        """Distance from the middle of the rail to either mechanical stop."""
-        return self._robot.parameters.cart.travel_m
 
     @property
     def cart_position_m(self) -> float:

@@ -19,6 +19,7 @@ class SimulatedBody:
     def __init__(self, model: Model | None = None) -> None:
         """Create the robot. Raises ValueError if the number of links differs from the number of tracked links."""
         self.model = model or Model()
+        self.travel_m = self.model.cart.travel_m
         links = self.model.arm.links
         if links != len(BODY_NAMES) - 1:
             raise ValueError(f"the model has {links} links, the robot {len(BODY_NAMES) - 1}: use a model with as many")
@@ -31,11 +32,6 @@ class SimulatedBody:
         distorted = any(name.startswith("mocap.") for name in self.model.effects)
         self._sensors = Sensors(self.simulator, np.random.default_rng(0)) if distorted else None
         self._frame = 0
-
-    @property
-    def travel_m(self) -> float:
-        """Distance from the middle of the rail to either mechanical stop."""
-        return self.model.cart.travel_m
 
     @property
     def cart_position_m(self) -> float:
