@@ -278,6 +278,16 @@ def test_a_command_allowed_by_both_ends_is_allowed_by_each(rule, sent, wanted, p
         assert passed == 0.0 or back or one.bound(passed, position, velocity, age * STEP_S, sent).velocity_m_s == passed
 
 
+def check_dragged(passed, position, velocity, age, set_points, creep):
+    """Check that a dragged cart stops in time after a command, but not after a higher one."""
+    assert -RETURN_SPEED_M_S < passed < 1.0
+    dragged, up = [(at, each + creep) for at, each in set_points], law(ends=(-FAR_M, 0.24))
+    more = passed + 1.001 * 1.1 / 2**BISECTIONS
+    aim = 0.24 - CREEP_MAX_M_S * age * STEP_S  # it may have begun to drag since
+    assert worst_after(up, position, velocity, age, dragged, passed + creep) <= aim + ROUNDING_M
+    assert worst_after(up, position, velocity, age, dragged, more + creep) >= aim - ROUNDING_M
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("age", [0, 20, 100])
 @pytest.mark.parametrize("lead", [0.01, 0.09])
@@ -288,13 +298,7 @@ def test_a_dragged_cart_stops_in_time_but_not_after_a_higher_command(lead, age, 
     position, velocity = 0.2 - 0.05 * age * STEP_S, 0.05 + lead
     sent = [(at * STEP_S, side * each) for at, each in set_points]
     passed = side * rule.bound(side * 1.0, side * position, side * velocity, age * STEP_S, sent).velocity_m_s
-    assert -RETURN_SPEED_M_S < passed < 1.0
-    dragged = [(at, each + lead) for at, each in set_points]
-    up = law(ends=(-FAR_M, 0.24))
-    more = passed + 1.001 * 1.1 / 2**BISECTIONS
-    aim = 0.24 - CREEP_MAX_M_S * age * STEP_S  # it may have begun to drag since
-    assert worst_after(up, position, velocity, age, dragged, passed + lead) <= aim + ROUNDING_M
-    assert worst_after(up, position, velocity, age, dragged, more + lead) >= aim - ROUNDING_M
+    check_dragged(passed, position, velocity, age, set_points, lead)
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.05, 0.2])
@@ -304,13 +308,7 @@ def test_a_possible_drag_counts_as_an_observed_one(drag, lead):
     set_points = [(k * TICK, 0.05) for k in range(8, 0, -1)]
     sent = [(at * STEP_S, each) for at, each in set_points]
     passed = law(ends=(-FAR_M, 0.24), drag_m_s=drag).bound(1.0, 0.13, 0.05 + lead, 0.02, sent).velocity_m_s
-    assert -RETURN_SPEED_M_S < passed < 1.0
-    counted = max(drag, lead if lead < CREEP_MAX_M_S else 0.0)
-    dragged, up = [(at, each + counted) for at, each in set_points], law(ends=(-FAR_M, 0.24))
-    more = passed + 1.001 * 1.1 / 2**BISECTIONS
-    aim = 0.24 - CREEP_MAX_M_S * 0.02
-    assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, passed + counted) <= aim + ROUNDING_M
-    assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, more + counted) >= aim - ROUNDING_M
+    check_dragged(passed, 0.13, 0.05 + lead, 20, set_points, max(drag, lead if lead < CREEP_MAX_M_S else 0.0))
 
 
 def test_a_large_lead_counts_as_a_ramp():

@@ -104,14 +104,9 @@ def test_anchors_aliases_and_merges_are_pyyamls_and_their_keys_have_lines(text):
     assert set(places(document.data, ())) <= document.lines.keys()
 
 
-def test_merged_values_keep_their_line():
-    document = parse("a: &x\n  b: 1\nd:\n  <<: *x\n  c: 2\n", FILE)
-    assert (document.lines["d", "b"], document.lines["d", "c"]) == (2, 5)
-
-
-def test_an_alias_and_its_values_keep_their_lines():
-    document = parse("a: &x\n  b: 1\nd: *x\n", FILE)
-    assert (document.lines["d",], document.lines["d", "b"]) == (3, 2)
+def test_values_of_merges_and_aliases_keep_their_lines():
+    document = parse("a: &x\n  b: 1\nd:\n  <<: *x\n  c: 2\ne: *x\n", FILE)
+    assert [document.lines[place] for place in (("d", "b"), ("d", "c"), ("e",), ("e", "b"))] == [2, 5, 6, 2]
 
 
 @pytest.mark.parametrize(
@@ -147,19 +142,8 @@ def test_depth_counts_through_aliases():
         "a0: &a0 {k: 1}\n" + "\n".join(f"a{i + 1}: &a{i + 1} {{<<: *a{i}, k{i}: *a{i}}}" for i in range(40)),
     ],
 )
-def test_an_alias_bomb_is_an_error_after_so_many_values(text, monkeypatch):
-    count = 0
-    real = yaml_lines._Reader._repeat
-
-    def counted(*args):
-        nonlocal count
-        count += 1
-        real(*args)
-
-    monkeypatch.setattr(yaml_lines._Reader, "_repeat", counted)
-    said = refusal(text)
-    assert f"its aliases stand for more than {MAX_ALIASED} values; write the values out" in said
-    assert count == MAX_ALIASED + 1
+def test_an_alias_bomb_is_an_error_after_so_many_values(text):
+    assert f"its aliases stand for more than {MAX_ALIASED} values; write the values out" in refusal(text)
 
 
 @pytest.mark.parametrize(

@@ -28,18 +28,6 @@ def test_an_excitation_stays_within_its_limits_and_ends_at_rest(name):
     assert max(np.ptp(pressure), 20 * np.ptp(velocity)) > 5  # it does excite
 
 
-def test_the_seeds_sequence_lasts_about_28_s_and_holds_its_three_parts():
-    plan = EXCITATIONS["seed"]
-    assert plan.duration_s == pytest.approx(28, abs=1)
-    assert [type(s).__name__ for s in plan.pressure_kpa if s.at(0.1) or s.at(0.7)] == [
-        "Ramp",
-        "Ramp",
-        "Square",
-        "Chirp",
-        "Chirp",
-    ]
-
-
 @pytest.mark.parametrize("name", ["both", "rail-steps", "free-decay"])
 def test_an_excitation_plays_to_its_end_in_the_control_loop(name):
     lockstep = Lockstep(Config(), Excite(name))

@@ -200,10 +200,6 @@ class TestPlans:
             assert np.abs(each).max() <= 1.0
         assert np.unique(varied[:, 20], axis=1).shape[1] > 150
 
-    def test_a_shifted_plan_lacks_its_first_command(self):
-        plan = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
-        np.testing.assert_array_equal(plans.shifted(plan)[:, :, 0], [[1, 2, 2], [4, 5, 5]])
-
 
 class TestCost:
     @staticmethod

@@ -270,34 +270,6 @@ def test_an_old_welcome_does_not_change_the_token(clock: Any) -> None:
     assert decode(body)[0] == RegulatorCommand(2, 0.1, True, 5.0)
 
 
-def test_a_device_that_restarts_its_count_is_greeted_again(clock: Any) -> None:
-    conversation = Conversation(0.1)
-    receive(conversation, Welcome(1), 5000)
-    receive(conversation, RegulatorState(0, False, Fault.TOKEN, 0.0), 1)
-    assert conversation.greeting(clock())
-    receive(conversation, Welcome(2), 2)
-    state = RegulatorState(3, False, Fault(0), 5.0)
-    assert receive(conversation, state, 3) == state
-
-
-async def test_on_a_line_that_repeats_itself_the_reading_becomes_stale(bench: Any) -> None:
-    await bench.arm()
-    answer = bench.device.receive
-    kept: list[bytes] = []
-
-    def repeat(data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
-        kept.append(answer(data, now_ns, pressure_kpa))
-        return kept[0]
-
-    bench.device.receive = repeat  # type: ignore[method-assign]
-    await bench.write_until(lambda: len(kept) > 3, True, 10.0)
-    stamp_ns = bench.regulator.read().t_receive_ns
-    bench.clock.advance(0.3)
-    await bench.write_until(lambda: len(kept) > 6, True, 10.0)
-    assert bench.regulator.read().t_receive_ns == stamp_ns
-    assert "is repeated or late" in bench.regulator.problem()
-
-
 async def test_a_thousand_other_descriptors_do_not_matter(bench: Any, many_descriptors: Any) -> None:
     bench.faults.start("serial_unplug")
     await bench.write_until(lambda: "plug the Teensy in" in (bench.regulator.problem() or ""))
