@@ -54,7 +54,6 @@ def test_a_file_becomes_its_schema():
     ("text", "said"),
     [
         ("- 1", "1: must hold keys; allowed: kind, main, parts, named, row, delay_s"),
-        ("just text", "1: must hold keys; allowed: kind, main, parts, named, row, delay_s"),
         (
             "kind: third",
             "1: kind: is 'third'; allowed 'one' or 'other'; change it, or remove the line for the default 'one'",

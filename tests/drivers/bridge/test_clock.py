@@ -57,15 +57,6 @@ def test_stamps_are_right_despite_drift_and_delays(ppm, out_us, back_us):
     assert clock.restarts == 0
 
 
-def test_unequal_directions_are_within_the_uncertainty():
-    clock, server = EchoClock(HZ), Servers(10.0)
-    for step in range(40):
-        server.echo(clock, START + step * 500_000_000, back_ns=300_000)
-    then = START + 20_000_000_000
-    error = abs(clock.here_ns(server.ticks(then)) - then)
-    assert 100_000 < error < 1e9 * clock.uncertainty_s < 400_000
-
-
 def test_frames_are_stamped_after_a_few_echoes():
     clock, server = EchoClock(HZ), Servers(50.0)
     assert clock.uncertainty_s == math.inf

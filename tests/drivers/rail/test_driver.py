@@ -172,9 +172,7 @@ async def test_a_missing_answer_ends_the_connection_and_nothing_is_repeated(open
     ("answer", "words"),
     [
         (lambda t: dryve.encode_abort(t, 0x06020000), "6041h:0 (statusword): the object does not exist"),
-        (lambda t: dryve.encode_exception(t, 6), "6041h:0 (statusword): busy (Modbus exception 0x06)"),
         (lambda t: t.to_bytes(2, "big") + bytes.fromhex("0000ffff"), "3 to 64 bytes are allowed, here 65535"),
-        (lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"), "not an answer to a request for 6041h"),
     ],
 )
 async def test_error_answers_are_reported(bench: Any, answer: Callable[[int], bytes], words: str) -> None:

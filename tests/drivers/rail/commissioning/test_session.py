@@ -201,11 +201,6 @@ def test_a_reversed_axis_is_homed(twin: Any) -> None:
     assert found.axis_m == pytest.approx(twin.position_m + 0.3, abs=2e-5)
 
 
-def test_a_missing_drive_is_reported(free_port: int, twin: Any) -> None:
-    with pytest.raises(DeviceError, match="Modbus TCP Gateway"), twin.session(port=free_port):
-        pass
-
-
 def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> None:
     shown = [bytes.fromhex(telegram) for _, telegram, *_ in vectors("homing.csv")]
     twin.put(-0.283)
