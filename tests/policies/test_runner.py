@@ -214,7 +214,7 @@ def test_a_reset_requested_during_a_late_step_is_not_lost():
     policy = Slow()
     runner = ThreadRunner(policy, budget_s=0.02)
     assert runner.step(OBSERVATION, GOAL).fault
-    assert policy.resets == 1
+    until(lambda: policy.resets == 1)  # on a busy machine the thread may begin after the budget
     runner.reset()
     policy.let_go.release(100)
     until(lambda: runner.step(OBSERVATION, GOAL).fault is None)
