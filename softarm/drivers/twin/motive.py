@@ -16,7 +16,7 @@ import struct
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Self
+from typing import Self
 
 import zenoh
 
@@ -36,64 +36,37 @@ GROUP = "239.255.42.99"
 IDS = {name: number for number, name in enumerate(BODY_NAMES, 1)}
 
 
-class Extras(NamedTuple):
-    """Further contents of a frame, which a reader must skip.
-
-    Numbers of markers by set, of unlabeled and labeled markers, of bones by skeleton, and of values by channel of each
-    force plate.
-    """
-
-    marker_sets: Mapping[str, int] = {}
-    unlabeled: int = 0
-    skeletons: Sequence[int] = ()
-    labeled: int = 0
-    plates: Sequence[Sequence[int]] = ()
-
-
 def frame(
     version: Version,
     number: int,
     bodies: Sequence[Body],
     stamps: tuple[int, int, int],
     parameters: int = 0,
-    extras: Extras = Extras(),  # noqa: B008
-    precise: bool | None = None,
+    others: Mapping[str, tuple[int, bytes]] = {},
 ) -> bytes:
     """Return a FRAMEOFDATA message.
 
     Args:
         stamps: Times of exposure, reception and transmission, in ticks.
         parameters: Flags of the frame.
-        precise: Whether to include the precise stamp; by default as 4.1 and newer do.
+        others: Number and bytes of the items in other sections, which a reader must skip.
     """
     sized = version >= (4, 1)
 
-    def section(count: int, content: bytes = b"") -> bytes:
+    def section(name: str) -> bytes:
+        count, content = others.get(name, (0, b""))
         return struct.pack("<I", count) + (struct.pack("<I", len(content)) if sized else b"") + content
 
     def rigid(body: Body) -> bytes:
         return struct.pack("<i3f4ffh", body.id, *body.position_m, *body.orientation, 0.0, body.tracked)
 
-    sets = b"".join(
-        name.encode() + b"\0" + struct.pack("<I", n) + bytes(12 * n) for name, n in extras.marker_sets.items()
-    )
-    bones = b"".join(struct.pack("<II", 7, n) + bytes(38 * n) for n in extras.skeletons)
-    plates = b"".join(
-        struct.pack("<II", 1, len(channels)) + b"".join(struct.pack("<I", n) + bytes(4 * n) for n in channels)
-        for channels in extras.plates
-    )
+    others = {**others, "bodies": (len(bodies), b"".join(map(rigid, bodies)))}
+    names = ("marker sets", "markers", "bodies", "skeletons", *(("assets",) if sized else ()), "labeled markers")
     parts = [
         struct.pack("<I", number),
-        section(len(extras.marker_sets), sets),
-        section(extras.unlabeled, bytes(12 * extras.unlabeled)),
-        section(len(bodies), b"".join(map(rigid, bodies))),
-        section(len(extras.skeletons), bones),
-        section(0) if sized else b"",
-        section(extras.labeled, bytes(26 * extras.labeled)),
-        section(len(extras.plates), plates),
-        section(0),
+        *map(section, (*names, "force plates", "devices")),
         struct.pack("<IIdQQQ", 0, 0, number / 120, *stamps),
-        struct.pack("<II", 1, 2) if (sized if precise is None else precise) else b"",
+        struct.pack("<II", 1, 2) if sized else b"",
         struct.pack("<h", parameters),
         bytes(4),
     ]

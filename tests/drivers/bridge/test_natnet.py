@@ -15,7 +15,6 @@ from natnet.version import Version as OracleVersion
 from softarm.drivers.bridge import natnet
 from softarm.drivers.bridge.natnet import Body, Echo, Frame, Models, Server, decode
 from softarm.drivers.twin import motive
-from softarm.drivers.twin.motive import Extras
 
 # One body, made by hand, and read by the package natnet 0.3.0 as well.
 V31 = (
@@ -29,7 +28,14 @@ V41 = (
     "0000000000000000000000002940e803000000000000d007000000000000b80b00000000000001f1536507000000020000000000"
 )
 VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 4)]
-FULL = Extras({"cart": 3, "all": 0}, 2, (3, 0), 4, ((1, 2), ()))
+# Two sets, skeletons and plates each, the second of them empty.
+FULL = {
+    "marker sets": (2, b"cart\0\3\0\0\0" + bytes(3 * 12) + b"all\0" + bytes(4)),
+    "markers": (2, bytes(2 * 12)),
+    "skeletons": (2, struct.pack("<II", 7, 3) + bytes(3 * 38) + struct.pack("<II", 7, 0)),
+    "labeled markers": (4, bytes(4 * 26)),
+    "force plates": (2, struct.pack("<IIIII2I", 1, 2, 1, 0, 2, 0, 0) + struct.pack("<II", 1, 0)),
+}
 BODIES = (
     Body(1, (0.5, -0.25, 2.0), (0.0, 0.0, 0.0, 1.0), True),
     Body(7, (0.0, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5), False),
@@ -51,7 +57,8 @@ def test_a_recorded_frame_has_the_expected_length():
     """Compare with Motive 2 of 2017: contents and 336 bytes are from python_natnet's tests and SampleClient."""
     place, turn = (0.1744466, 1.4471314, -0.7343040), (-0.05459423, 0.5099482, 0.04370357, -0.8573577)
     stamps = (1416497730518, 1416497745808, 1416497748722)
-    datagram = motive.frame((3, 0), 162734, [Body(2, place, turn, True)], stamps, 0, Extras(unlabeled=5, labeled=6))
+    others = {"markers": (5, bytes(5 * 12)), "labeled markers": (6, bytes(6 * 26))}
+    datagram = motive.frame((3, 0), 162734, [Body(2, place, turn, True)], stamps, 0, others)
     assert len(datagram) == 336
     read = decode(datagram, (3, 0))
     assert (read.number, read.exposed, read.received, read.sent) == (162734, *stamps)
@@ -61,22 +68,23 @@ def test_a_recorded_frame_has_the_expected_length():
 
 @pytest.mark.parametrize("precise", [False, True])
 def test_a_frame_of_4_0_may_have_the_precise_stamp_or_not(precise):
-    datagram = motive.frame((4, 0), 3, BODIES, (10, 20, 30), natnet.EDIT_MODE, FULL, precise)
+    content = motive.frame((4, 0), 3, BODIES, (10, 20, 30), natnet.EDIT_MODE, FULL)[4:]
+    datagram = natnet.message(natnet.FRAME, content[:-6] + bytes(8 * precise) + content[-6:])
     assert decode(datagram, (4, 0)) == Frame(3, BODIES, 10, 20, 30, natnet.EDIT_MODE)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("extras", [Extras(), FULL])
-def test_bodies_are_decoded_among_other_contents(version, extras):
-    datagram = motive.frame(version, 3, BODIES, (10, 20, 30), 0, extras)
+@pytest.mark.parametrize("others", [{}, FULL])
+def test_bodies_are_decoded_among_other_contents(version, others):
+    datagram = motive.frame(version, 3, BODIES, (10, 20, 30), 0, others)
     assert decode(datagram, version) == Frame(3, BODIES, 10, 20, 30, 0)
 
 
 @pytest.mark.parametrize("version", [(3, 0), (3, 1)])
-@pytest.mark.parametrize("extras", [Extras(), FULL])
-def test_an_independent_reader_agrees(version, extras):
+@pytest.mark.parametrize("others", [{}, FULL])
+def test_an_independent_reader_agrees(version, others):
     """Compare with natnet 0.3.0, which cannot read the end of a frame of 4.1."""
-    datagram = motive.frame(version, 3, BODIES, (10, 20, 30), natnet.EDIT_MODE, extras)
+    datagram = motive.frame(version, 3, BODIES, (10, 20, 30), natnet.EDIT_MODE, others)
     buffer = PacketBuffer(datagram[4:])
     theirs = DataFrame.read_from_buffer(buffer, OracleVersion(*version))
     ours = decode(datagram, version)
