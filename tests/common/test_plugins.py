@@ -14,18 +14,13 @@ class Takes:
         pass
 
 
-def test_an_unknown_name_is_reported_with_the_nearest_and_all_names():
-    with pytest.raises(PluginError, match=r"no source 'udb'; did you mean 'udp'\? \(installed: udp, zenoh\)"):
-        plugins.find("source", "udb", {"udp": lambda: Takes}, ("zenoh",))
+def test_without_plugins_an_unknown_name_is_reported():
     with pytest.raises(PluginError, match=r"no source 'udp' \(installed: none\)"):
         plugins.find("source", "udp", {})
-    assert plugins.find("source", "udp", {"udp": lambda: Takes}) is Takes
 
 
 def test_options_are_checked_before_anything_is_made():
     plugins.check_options("source", "udp", Takes, {"port": 1})
-    with pytest.raises(PluginError, match=r"no option 'rate'; did you mean 'rate_hz'\? \(known: port, rate_hz\)"):
-        plugins.check_options("source", "udp", Takes, {"port": 1, "rate": 2.0})
     with pytest.raises(PluginError, match="source 'udp' needs the option port"):
         plugins.check_options("source", "udp", Takes, {})
     plugins.check_options("source", "any", lambda **options: options, {"whatever": 1})
