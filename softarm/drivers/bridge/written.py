@@ -6,21 +6,16 @@ from collections.abc import Iterator, Mapping
 from datetime import date
 
 from softarm.drivers.bridge.calibration import HINGE_Z_M, Found
-from softarm.schemas.bridge import Bridge, Marked
+from softarm.schemas.bridge import Bridge
 from softarm.schemas.messages import BODY_NAMES
+
+DIGITS = {"yaw_rad": 5, "tilt_rad": 5, "origin_m": 4, "hanging": 6, "across_m": 4, "along_m": 4}
 
 
 def configuration(config: Bridge, server: str, found: Found) -> Bridge:
     """Return the configuration with the calibration's result, rounded as in the file."""
-    room = found.room.model_copy(
-        update={
-            "yaw_rad": _round(found.room.yaw_rad, 5),
-            "tilt_rad": _round(found.room.tilt_rad, 5),
-            "origin_m": tuple(_round(part, 4) for part in found.room.origin_m),
-        }
-    )
-    marks = {name: _rounded(getattr(found.marks, name)) for name in BODY_NAMES}
-    return config.model_copy(update={"server": server, "room": room, "bodies": found.marks.model_copy(update=marks)})
+    whole = config.model_copy(update={"server": server, "room": found.room, "bodies": found.marks})
+    return Bridge.model_validate(_rounded(whole.model_dump()))
 
 
 def text(config: Bridge, found: Found, when: date) -> str:
@@ -28,18 +23,14 @@ def text(config: Bridge, found: Found, when: date) -> str:
     return "\n".join(_lines(config, found, when)) + "\n"
 
 
-def _rounded(mark: Marked | None) -> Marked | None:
-    if mark is None:
-        return None
-    hanging = tuple(_round(part, 6) for part in mark.hanging)
-    return mark.model_copy(
-        update={"hanging": hanging, "across_m": _round(mark.across_m, 4), "along_m": _round(mark.along_m, 4)}
-    )
-
-
-def _round(value: float, digits: int) -> float:
+def _rounded(value: object, digits: int | None = None) -> object:
+    """Round the numbers under the keys of `DIGITS`, at any depth."""
+    if isinstance(value, dict):
+        return {key: _rounded(each, DIGITS.get(key)) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_rounded(each, digits) for each in value)
     # The sum turns minus zero into zero.
-    return round(value, digits) + 0.0
+    return value if digits is None or not isinstance(value, float) else round(value, digits) + 0.0
 
 
 def _lines(config: Bridge, found: Found, when: date) -> Iterator[str]:
