@@ -56,13 +56,13 @@ class Drive:
     def stop(self) -> None:
         """Send a stop without waiting for the answer."""
         self.target = 0
-        self.link.stop()
+        self.link.send(dryve.TARGET_VELOCITY, 0)
 
     def brake(self) -> None:
         """Brake in any mode if a connection is open, without waiting for the answer; a broken one is ignored."""
         if self._link is not None:
             with contextlib.suppress(OSError):
-                self._link.halt()
+                self._link.send(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
 
     def set_velocity(self, target: int) -> None:
         """Set the velocity in drive units."""

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Self
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import ControlWord
 from softarm.drivers.rail.dryve import Entry
 
 # Answers to other requests that one exchange skips.
@@ -111,18 +110,10 @@ class DryveLink:
             pause(MODE_PAUSE_S)
         return None
 
-    def stop(self) -> None:
-        """Send a stop without waiting for any answer. Raises OSError."""
-        self._send(dryve.TARGET_VELOCITY, 0)
-
-    def halt(self) -> None:
-        """Brake a drive in operation, in any mode, without waiting for any answer. Raises OSError."""
-        self._send(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
-
     def close(self) -> None:
         """Send a stop and close the connection, in any state of it, within `LINGER_S`."""
         try:
-            self.stop()
+            self.send(dryve.TARGET_VELOCITY, 0)
             self._line.shutdown(socket.SHUT_WR)
             # Unread answers would turn the close into a reset, which may overtake the stop.
             until_s = time.monotonic() + LINGER_S
@@ -134,7 +125,8 @@ class DryveLink:
         finally:
             self._line.close()
 
-    def _send(self, entry: Entry, value: int | None) -> int:
+    def send(self, entry: Entry, value: int | None) -> int:
+        """Send a request without waiting for its answer, and return its transaction. Raises OSError."""
         # 1 to 255 are known to work on real drives.
         self._transaction = self._transaction % 255 + 1
         self._line.sendall(dryve.encode_request(self._transaction, entry, value))
@@ -147,7 +139,7 @@ class DryveLink:
         Raises DryveRefusal (refused), DryveMismatch or ValueError (garbled), EOFError (closed by the drive),
         TimeoutError or another OSError (no answer).
         """
-        transaction = self._send(entry, value)
+        transaction = self.send(entry, value)
         deadline_s = until_s = time.monotonic() + self._timeout_s
         for _ in range(SKIPPED_MAX + 1):
             telegram = self._next_telegram(until_s)
