@@ -152,7 +152,8 @@ def factor(unit: str) -> tuple[float, str]:
     Raises:
         ValueError: The unit is unknown; the text lists the known ones.
     """
-    plain = _plain(unit)
+    plain = " ".join(unit.split()).translate(_SIGNS)
+    plain = _PRODUCTS.get(plain, plain)
     for own, others in UNITS.items():
         if plain == own:
             return 1.0, own
@@ -172,12 +173,6 @@ def factor(unit: str) -> tuple[float, str]:
 def with_unit(name: str, unit: str) -> str:
     """Return a name with its unit as in columns and keys: `pressure_kpa`, `rate_m_s`; a pure number has no unit."""
     return name if unit in (PURE, "1") else "_".join((name, *re.findall(r"[a-z0-9]+", unit.lower())))
-
-
-def _plain(unit: str) -> str:
-    """A unit as it is written here: signs that keyboards lack as words, a blank between the factors of a product."""
-    text = " ".join(unit.split()).translate(_SIGNS)
-    return _PRODUCTS.get(text, text)
 
 
 def shown(value: object) -> str:

@@ -103,7 +103,8 @@ def _mistake(document: Document, schema: type[BaseModel], item: Mapping[str, Any
 
 def _said(document: Document, text: str, otherwise: Place) -> Mistake:
     """Return a mistake at the first key that a sentence names, or at another place."""
-    place = _named_in(text, document) or otherwise
+    paths = (tuple(word.split(".")) for word in re.findall(r"[a-z_0-9.]+\.[a-z_0-9]+", text))
+    place = next((path for path in paths if path in document.lines), otherwise)
     return Mistake(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
 
 
@@ -138,11 +139,3 @@ def _unknown_key(schema: type[BaseModel], place: Place) -> str:
         default = "" if key.group else f"; default {key.default}"
         return f"unknown key; did you mean {near}? (allowed {key.allowed}{default})"
     return f"unknown key; remove it, or use one of {', '.join(known)}"
-
-
-def _named_in(text: str, document: Document) -> Place | None:
-    """Return the first key of the file that a sentence names by its full path."""
-    for word in re.findall(r"[a-z_0-9.]+\.[a-z_0-9]+", text):
-        if (place := tuple(word.split("."))) in document.lines:
-            return place
-    return None

@@ -1,6 +1,5 @@
 """File of planned trajectories, written by `softarm plan` and flown by the policy `trajectory`."""
 
-import hashlib
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -89,11 +88,3 @@ class Plans:
 def find(name: str) -> Path:
     """Return the file of a path that ends in .npz, or of a shipped name."""
     return Path(name) if name.endswith(".npz") else MODELS / f"{name}.npz"
-
-
-def sha256(file: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal. Raises PolicyError if it cannot be read."""
-    try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise PolicyError(f"cannot read {file}: {error.strerror}; make one with `softarm plan --out FILE`") from error

@@ -1,12 +1,13 @@
 """Upper bound of the seed: a planned trajectory with weak feedback ([P] SM-H)."""
 
+import hashlib
 import math
 from pathlib import Path
 
 import numpy as np
 
 from softarm.policies.base import HIGH, LOW, Array, PolicyError, PolicySpec
-from softarm.policies.plans import Plans, find, sha256
+from softarm.policies.plans import Plans, find
 from softarm.schemas.policy import TrainingRange, places
 
 TARGET_TOLERANCE_M = 0.01
@@ -114,5 +115,5 @@ def _spec(file: Path, plans: Plans, extension_steps: int) -> PolicySpec:
             target_z_m=(float(z_low), float(z_high)),
             cart_start_m=(float(plans.cart_start_m.min()), float(plans.cart_start_m.max())),
         ),
-        sha256=sha256(file),
+        sha256=hashlib.sha256(file.read_bytes()).hexdigest(),
     )

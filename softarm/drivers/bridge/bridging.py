@@ -137,8 +137,8 @@ class Bridging:
     def _nameless(self) -> str | None:
         if not self._unnamed:
             return None
-        missing, named = ", ".join(self._unnamed), _named(self._inlet.conversation.ids)
-        problem = f"{missing}: no such rigid body, the server streams {named}"
+        named = ", ".join(f"{name} ({number})" for name, number in sorted(self._inlet.conversation.ids.items()))
+        problem = f"{', '.join(self._unnamed)}: no such rigid body, the server streams {named or 'none'}"
         return f"{problem}; rename it in Motive, or in bodies of bridge.yaml"
 
     def _note(self, taken: StampedFrame, poses: tuple[Pose, ...]) -> None:
@@ -221,7 +221,3 @@ class _Lost:
         """Return the number of frames without the body since the last call."""
         frames, self._frames = self._frames, 0
         return frames
-
-
-def _named(ids: dict[str, int]) -> str:
-    return ", ".join(f"{name} ({number})" for name, number in sorted(ids.items())) or "none"

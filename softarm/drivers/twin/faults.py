@@ -98,16 +98,11 @@ class Faults:
         if not isinstance(name, str) or name not in MEANINGS:
             hint = did_you_mean(str(name), MEANINGS)
             raise ValueError(f"unknown fault {name!r}; {hint}allowed: {', '.join(sorted(MEANINGS))}")
-        for argument in arguments.keys() - _arguments(name):
+        allowed = {"body", "seconds"} if name == DROP_BODY else {"seconds"} if name in LASTING else set()
+        for argument in arguments.keys() - allowed:
             raise ValueError(f"{name}: unexpected keyword argument {argument!r}")
         self.start(name, **arguments)
         return str(name)
-
-
-def _arguments(name: str) -> tuple[str, ...]:
-    if name == DROP_BODY:
-        return "body", "seconds"
-    return ("seconds",) if name in LASTING else ()
 
 
 def described() -> list[tuple[str, str, str]]:

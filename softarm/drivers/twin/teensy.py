@@ -122,7 +122,8 @@ class TeensyPort:
         """Plug the device in. Raises DeviceError if something other than a twin's link exists at `path`."""
         if self._ends is not None:
             return
-        if os.path.lexists(self._path) and not _leads_to_terminal(self._path):
+        is_ours = self._path.is_symlink() and os.readlink(self._path).startswith("/dev/pts/")
+        if os.path.lexists(self._path) and not is_ours:
             raise self._refusal("another file exists there")
         master, slave = os.openpty()
         # The slave stays open: without it the master would report hang-ups.
@@ -174,7 +175,3 @@ class TeensyPort:
     def _refusal(self, problem: str) -> DeviceError:
         remedy = "set drivers.regulator.port to a path where the twin may create a link, e.g. /tmp/softarm-teensy"
         return DeviceError(str(self._path), "link the twin's serial port", problem, remedy)
-
-
-def _leads_to_terminal(path: Path) -> bool:
-    return path.is_symlink() and os.readlink(path).startswith("/dev/pts/")

@@ -38,8 +38,8 @@ class Planner:
         self.cost = np.inf
 
     def move_on(self) -> None:
-        """Remove the first command of every plan after a control step."""
-        self._plans = plans.shifted(self._plans)
+        """Remove the first command of every plan after a control step; the last one is held."""
+        self._plans = np.concatenate((self._plans[:, 1:], self._plans[:, -1:]), axis=1)
         self._fresh = int(FRESH_SHARE * self._rollouts)
 
     def improve(self, robot: "Simulator", target_m: Array) -> None:

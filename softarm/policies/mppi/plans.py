@@ -13,11 +13,6 @@ CROSSING_SHARE = 0.5  # of the new plans, crossed with the difference of two oth
 SWING_HZ = (0.4, 2.5)  # around the arm's first bending mode
 
 
-def shifted(plans: Array) -> Array:
-    """Shift plans by one step and repeat the last command."""
-    return np.concatenate((plans[:, 1:], plans[:, -1:]), axis=1)
-
-
 def swings(random: np.random.Generator, steps: int, count: int, period_s: float) -> Array:
     """Draw new swinging plans: sinusoids of random frequency and phase, many strong enough to saturate."""
     time_s = period_s * np.arange(steps, dtype=np.float32)[:, None]
