@@ -84,7 +84,7 @@ class LateBody(SimulatedBody):
         while self.now_ns < until_ns:
             super().step(cart_velocity_m_s, pressure_kpa, min(LOOK_NS, until_ns - self.now_ns))
             self._read.append(super().encoder())
-            self.farthest_m = max(self.farthest_m, abs(self.cart_position_m))
+            self.farthest_m = max(self.farthest_m, abs(float(self.simulator.cart_position_m[0])))
         while len(self._read) > 1 and self._read[1].t_receive_ns <= self.now_ns - self._age_ns:
             self._read.popleft()
 

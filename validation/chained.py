@@ -139,9 +139,9 @@ class InLockstep:
         begun_ns = robot.now_ns
         for part in range(1, LOOKS):
             robot.advance(begun_ns + part * self._period_ns // LOOKS)
-            self._cart.look(robot.body.cart_position_m)
+            self._cart.look(robot.body.truth.cart_position_m)
         outputs = self._daemon.tick(*requests)
-        self._cart.look(robot.body.cart_position_m)
+        self._cart.look(robot.body.truth.cart_position_m)
         return outputs
 
 

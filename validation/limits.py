@@ -101,7 +101,8 @@ class Aged:
             self._body.step(cart_velocity_m_s, pressure_kpa, until - done)
             done = until
             self._seen.append(replace(self._body.encoder(), t_receive_ns=self._body.now_ns))
-            self.watched.append((self._body.now_ns * 1e-9, self._body.cart_position_m, self._body.cart_velocity_m_s))
+            truth = self._body.truth
+            self.watched.append((self._body.now_ns * 1e-9, truth.cart_position_m, truth.cart_velocity_m_s))
 
     def encoder(self) -> RailReading:
         """Return an old reading with a current stamp."""

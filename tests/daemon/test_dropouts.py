@@ -41,13 +41,13 @@ def test_a_simulated_swing_is_known_to_two_centimetres_after_a_dropout_of_150_ms
     daemon, eyes = swinging
     eyes.shut = True
     moved_m = 0.0
-    at_m = daemon.robot.body.tip_m
+    at_m = daemon.robot.body.truth.tip_m
     for _ in range(4):
         daemon.tick()
-        values, (y_m, z_m) = daemon.outputs.observed.values, daemon.robot.body.tip_m
+        values, (y_m, z_m) = daemon.outputs.observed.values, daemon.robot.body.truth.tip_m
         assert math.hypot(values.tip_y_m - y_m, values.tip_z_m - z_m) < 0.02
-        assert values.cart_position_m == pytest.approx(daemon.robot.body.cart_position_m, abs=0.002)
-        assert values.cart_velocity_m_s == pytest.approx(daemon.robot.body.cart_velocity_m_s, abs=0.15)
+        assert values.cart_position_m == pytest.approx(daemon.robot.body.truth.cart_position_m, abs=0.002)
+        assert values.cart_velocity_m_s == pytest.approx(daemon.robot.body.truth.cart_velocity_m_s, abs=0.15)
         moved_m = max(moved_m, math.hypot(y_m - at_m[0], z_m - at_m[1]))
     assert moved_m > 0.15  # what holding on to the last frame would be off
     assert daemon.outputs.observed.bridged_ns == pytest.approx(4 * TICK_NS, abs=10)
@@ -55,7 +55,7 @@ def test_a_simulated_swing_is_known_to_two_centimetres_after_a_dropout_of_150_ms
 
 def test_a_target_that_only_the_estimate_reaches_is_not_reached(swinging):
     daemon, eyes = swinging
-    y_m, z_m = daemon.robot.body.tip_m
+    y_m, z_m = daemon.robot.body.truth.tip_m
     eyes.shut = True
     daemon.tick()
     values = daemon.outputs.observed.values

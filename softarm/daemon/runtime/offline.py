@@ -112,7 +112,7 @@ class Lockstep:
         top = farthest = 0.0
         ticks = 1
         while True:
-            farthest = max(farthest, abs(self.robot.body.cart_position_m))
+            farthest = max(farthest, abs(self.robot.body.truth.cart_position_m))
             if outputs.observed is not None:
                 top = max(top, outputs.observed.values.tip_z_m)
             if outputs.goal.state != "running":

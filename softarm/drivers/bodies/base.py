@@ -1,12 +1,21 @@
 """Interface of a robot without its wires, used by the in-process devices and by the twin."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 
 class PlacementError(Exception):
     """The body cannot be placed; the message states the alternative."""
+
+
+class Truth(NamedTuple):
+    """True state: the cart from the middle of the rail, the pressure in the muscle, y and z of the tip."""
+
+    cart_position_m: float
+    cart_velocity_m_s: float
+    pressure_kpa: float
+    tip_m: tuple[float, float]
 
 
 class Body(Protocol):
@@ -21,20 +30,8 @@ class Body(Protocol):
     travel_m: float
 
     @property
-    def cart_position_m(self) -> float:
-        """True position of the cart from the middle of the rail."""
-
-    @property
-    def cart_velocity_m_s(self) -> float:
-        """True velocity of the cart."""
-
-    @property
-    def pressure_kpa(self) -> float:
-        """True pressure in the muscle."""
-
-    @property
-    def tip_m(self) -> tuple[float, float]:
-        """True y and z of the tip."""
+    def truth(self) -> Truth:
+        """True state at this moment."""
 
     def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
         """Advance by a duration under constant commands."""

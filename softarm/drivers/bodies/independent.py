@@ -1,6 +1,6 @@
 """Body of the independent robot of `reality/`, with its own sensors. Needs the extra `mujoco`."""
 
-from softarm.drivers.bodies.base import PlacementError
+from softarm.drivers.bodies.base import PlacementError, Truth
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
@@ -23,39 +23,23 @@ class IndependentBody:
         """Create the robot; arguments and errors are those of `softarm.reality.robot.Robot`."""
         self._robot = Robot(parameters, seed, cart_position_m=cart_position_m, hanging=True, shelf_m=shelf_m)
         self.travel_m = self._robot.parameters.cart.travel_m
-        self._truth = self._robot.truth
         # Readings of the devices before the first sample.
-        self._pressure = PressureReading(0, self._truth.pressure_kpa, True)
-        self._rail = RailReading(0, self._truth.cart_position_m, 0.0, True)
+        self._pressure = PressureReading(0, self.truth.pressure_kpa, True)
+        self._rail = RailReading(0, self.truth.cart_position_m, 0.0, True)
         self.now_ns = 0
 
     @property
-    def cart_position_m(self) -> float:
-        """True position of the cart from the middle of the rail."""
-        return self._truth.cart_position_m
-
-    @property
-    def cart_velocity_m_s(self) -> float:
-        """True velocity of the cart."""
-        return self._truth.cart_velocity_m_s
-
-    @property
-    def pressure_kpa(self) -> float:
-        """True pressure in the muscle."""
-        return self._truth.pressure_kpa
-
-    @property
-    def tip_m(self) -> tuple[float, float]:
-        """True y and z of the tip."""
-        y, z = self._truth.link_ends_m[-1].tolist()
-        return y, z
+    def truth(self) -> Truth:
+        """True state at this moment."""
+        now = self._robot.truth
+        y, z = now.link_ends_m[-1].tolist()
+        return Truth(now.cart_position_m, now.cart_velocity_m_s, now.pressure_kpa, (y, z))
 
     def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
         """Advance by a duration; the commands act from the start of the step."""
         self._robot.command(self.now_ns * 1e-9, cart_velocity_m_s, pressure_kpa)
         self.now_ns += duration_ns
         self._robot.advance(self.now_ns * 1e-9)
-        self._truth = self._robot.truth
 
     def place(self, cart_position_m: float) -> None:
         """Raise PlacementError: this body cannot be placed."""

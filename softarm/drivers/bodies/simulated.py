@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softarm.drivers.bodies.base import Truth
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.model import Model
 from softarm.schemas.robot import PHYSICS_RATE_HZ
@@ -34,25 +35,12 @@ class SimulatedBody:
         self._frame = 0
 
     @property
-    def cart_position_m(self) -> float:
-        """True position of the cart from the middle of the rail."""
-        return float(self.simulator.cart_position_m[0])
-
-    @property
-    def cart_velocity_m_s(self) -> float:
-        """True velocity of the cart."""
-        return float(self.simulator.cart_velocity_m_s[0])
-
-    @property
-    def pressure_kpa(self) -> float:
-        """True pressure in the muscle."""
-        return float(self.simulator.pressure_kpa[0])
-
-    @property
-    def tip_m(self) -> tuple[float, float]:
-        """True y and z of the tip."""
-        y, z = self.simulator.tip_m()[0].tolist()
-        return y, z
+    def truth(self) -> Truth:
+        """True state at this moment."""
+        robot = self.simulator
+        y, z = robot.tip_m()[0].tolist()
+        position_m, velocity_m_s = float(robot.cart_position_m[0]), float(robot.cart_velocity_m_s[0])
+        return Truth(position_m, velocity_m_s, float(robot.pressure_kpa[0]), (y, z))
 
     def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
         """Advance by a duration under constant commands."""
@@ -77,14 +65,14 @@ class SimulatedBody:
 
     def encoder(self) -> RailReading:
         """Return the present read-back of the axis, including a wrong feed constant."""
-        position_m, velocity_m_s = self.cart_position_m / self._feed, self.cart_velocity_m_s / self._feed
-        return RailReading(self.now_ns, position_m, velocity_m_s, True)
+        truth = self.truth
+        return RailReading(self.now_ns, truth.cart_position_m / self._feed, truth.cart_velocity_m_s / self._feed, True)
 
     def _poses(self) -> tuple[Pose, ...] | None:
         if self._sensors is None:
             ends = self.simulator.link_ends_m()[0].tolist()
             angles = self.simulator.link_angles_rad[0].tolist()
-            cart = Pose(self.cart_position_m, self.model.arm.base_height_m, 0.0)
+            cart = Pose(float(self.simulator.cart_position_m[0]), self.model.arm.base_height_m, 0.0)
             return (cart, *(Pose(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True)))
         seen = self._sensors.look()
         if not seen.fresh[0]:

@@ -157,7 +157,7 @@ class Twin:
         self._port.step()
         self._server.step()
         self._body.step(self.dryve.target_velocity_m_s, self.teensy.set_point_kpa, duration_ns)
-        if self._ends.update(self._body.cart_position_m):
+        if self._ends.update(self._body.truth.cart_position_m):
             self.dryve.trip(LIMIT_SWITCH)
         self._sense()
         self.state = self._observe(self._clock())
@@ -174,21 +174,21 @@ class Twin:
         self.dryve.sense(reading.position_m, reading.velocity_m_s)
 
     def _observe(self, now_ns: int) -> TwinState:
-        body, drive = self._body, self.dryve
-        tip_y_m, tip_z_m = body.tip_m
+        truth, drive = self._body.truth, self.dryve
+        tip_y_m, tip_z_m = truth.tip_m
         vented = self.teensy.set_point_kpa == VENT_KPA
         return TwinState(
             t_ns=now_ns,
-            cart_position_m=body.cart_position_m,
-            cart_velocity_m_s=body.cart_velocity_m_s,
-            pressure_kpa=body.pressure_kpa,
+            cart_position_m=truth.cart_position_m,
+            cart_velocity_m_s=truth.cart_velocity_m_s,
+            pressure_kpa=truth.pressure_kpa,
             tip_y_m=tip_y_m,
             tip_z_m=tip_z_m,
             vented=vented,
             vented_since_ns=self._vented.update(vented, now_ns),
             drive=drive.state.value,
             out_of_operation_since_ns=self._off.update(not drive.in_operation, now_ns),
-            braked_since_ns=self._braked.update(abs(body.cart_velocity_m_s) < BRAKED_M_S, now_ns),
+            braked_since_ns=self._braked.update(abs(truth.cart_velocity_m_s) < BRAKED_M_S, now_ns),
             halted_after_s=None
             if drive.moved_ns is None or drive.halted_ns is None
             else (drive.halted_ns - drive.moved_ns) * 1e-9,

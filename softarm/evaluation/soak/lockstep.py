@@ -101,7 +101,7 @@ class _Flight:
         return [daemon.request("goal", self._chance.choice(TEST_TARGETS))]
 
     def _look(self, before: Outputs, now: Outputs) -> Outputs:
-        self._cart_max_m = max(self._cart_max_m, abs(self._daemon.robot.body.cart_position_m))
+        self._cart_max_m = max(self._cart_max_m, abs(self._daemon.robot.body.truth.cart_position_m))
         if before.goal.state == "running" and now.goal.state == "reached":
             self._counts["reached"] += 1
         if before.mode in FLYING and now.mode not in FLYING and not self._asked:

@@ -30,15 +30,15 @@ def test_the_robot_moves_under_the_last_commands_and_only_while_enabled(robot):
         for _ in range(15):
             robot.rail.write(enable, 0.4)
             robot.mocap.read(robot.now_ns + PERIOD_NS)
-        return robot.body.cart_velocity_m_s, robot.body.pressure_kpa, robot.rail.read(), robot.regulator.read()
+        return robot.body.truth, robot.rail.read(), robot.regulator.read()
 
-    velocity_m_s, kpa, rail, regulator = fly(True)
-    assert velocity_m_s == pytest.approx(0.4, abs=0.1)
-    assert kpa > 7.0
+    truth, rail, regulator = fly(True)
+    assert truth.cart_velocity_m_s == pytest.approx(0.4, abs=0.1)
+    assert truth.pressure_kpa > 7.0
     assert (rail.enabled, regulator.armed, regulator.sequence) == (True, True, 1)
-    velocity_m_s, kpa, rail, regulator = fly(False)
-    assert velocity_m_s == pytest.approx(0.0, abs=0.1)
-    assert kpa < 3.0
+    truth, rail, regulator = fly(False)
+    assert truth.cart_velocity_m_s == pytest.approx(0.0, abs=0.1)
+    assert truth.pressure_kpa < 3.0
     assert (rail.enabled, regulator.armed, regulator.sequence) == (False, False, 2)
 
 
@@ -46,24 +46,24 @@ def test_a_set_point_that_is_not_renewed_brakes_the_cart_until_the_next_one(robo
     for tick in range(1, 16):
         robot.rail.write(True, 0.4)
         robot.mocap.read(BOOTED_NS + tick * PERIOD_NS)
-    moved = robot.body.cart_position_m
+    moved = robot.body.truth.cart_position_m
     robot.mocap.read(robot.now_ns + 30 * PERIOD_NS)
-    assert robot.body.cart_velocity_m_s == pytest.approx(0.0, abs=0.1)
-    assert robot.body.cart_position_m < moved + 0.4 * (0.045 + 0.034) + 0.4**2 / 6
+    assert robot.body.truth.cart_velocity_m_s == pytest.approx(0.0, abs=0.1)
+    assert robot.body.truth.cart_position_m < moved + 0.4 * (0.045 + 0.034) + 0.4**2 / 6
     robot.rail.write(True, 0.4)
     robot.mocap.read(robot.now_ns + PERIOD_NS)
     robot.rail.write(True, 0.4)
     robot.mocap.read(robot.now_ns + 3 * PERIOD_NS // 2)
-    assert robot.body.cart_velocity_m_s > 0.05
+    assert robot.body.truth.cart_velocity_m_s > 0.05
 
 
 def test_skipped_time_moves_nothing(robot):
     robot.rail.write(True, 0.5)
     robot.mocap.read(BOOTED_NS + PERIOD_NS)
-    before = robot.body.cart_position_m
+    before = robot.body.truth.cart_position_m
     robot.now_ns += 10_000_000_000
     robot.mocap.read(robot.now_ns)
-    assert robot.body.cart_position_m == before
+    assert robot.body.truth.cart_position_m == before
     assert robot.body.now_ns == PERIOD_NS
 
 

@@ -60,14 +60,14 @@ def test_it_moves_as_commanded_and_returns_its_sensors_readings():
     for _ in range(60):
         body.step(-0.3, 15.0, FRAME_NS)
         seen.append(body.frames())
-    assert body.cart_position_m < -0.05
-    assert body.gauge().pressure_kpa == pytest.approx(body.pressure_kpa + 1.0, abs=0.01)
+    assert body.truth.cart_position_m < -0.05
+    assert body.gauge().pressure_kpa == pytest.approx(body.truth.pressure_kpa + 1.0, abs=0.01)
     assert body.gauge() is body.gauge()
-    assert body.encoder().position_m == pytest.approx(body.cart_position_m, abs=0.005)
+    assert body.encoder().position_m == pytest.approx(body.truth.cart_position_m, abs=0.005)
     assert body.encoder().velocity_m_s == pytest.approx(-0.3, abs=0.1)
     assert seen[0] == ()
     (newest,) = seen[-1]
     assert body.now_ns - newest.t_capture_ns == pytest.approx(20e6, abs=10e6)
     assert newest.t_receive_ns - newest.t_capture_ns == 20_000_000
     assert len(newest.bodies) == len(BODY_NAMES)
-    assert np.hypot(*np.subtract(newest.bodies[-1][:2], body.tip_m)) < 0.03
+    assert np.hypot(*np.subtract(newest.bodies[-1][:2], body.truth.tip_m)) < 0.03

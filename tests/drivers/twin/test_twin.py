@@ -172,10 +172,10 @@ def test_a_cart_that_stays_at_the_end_of_its_travel_has_crashed_once(body: Any) 
     ends, struck = EndStops(made.travel_m), []
     for velocity_m_s in (*[1.0] * 120, *[-0.2] * 60, *[1.0] * 60):
         made.step(velocity_m_s, 0.0, 8_333_334)
-        struck.append(ends.update(made.cart_position_m))
+        struck.append(ends.update(made.truth.cart_position_m))
     assert ends.crashes == struck.count(True) == 2
     assert 0.25 < struck.index(True) / 120 < 0.6
-    assert made.cart_velocity_m_s == pytest.approx(0.0, abs=1e-3)
+    assert made.truth.cart_velocity_m_s == pytest.approx(0.0, abs=1e-3)
     assert ends.cart_max_abs_m == made.travel_m
 
 
