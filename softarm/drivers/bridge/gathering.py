@@ -112,13 +112,7 @@ def gather(
 ) -> None:
     """Record a server's frames until the calibration has its samples.
 
-    Args:
-        config: Configuration of the bridge.
-        client: Connection to the server.
-        gathering: Recorder of the samples.
-        patience_s: Longest time in one phase; afterwards the samples so far are used.
-        on_phase: Receives each new phase.
-        show: Receives the progress.
+    After `patience_s` in one phase the samples so far suffice. `on_phase` receives each new phase, `show` the progress.
 
     Raises:
         DeviceError: No frames arrived.

@@ -206,11 +206,7 @@ def _instant_ns(frame: int) -> int:
 async def run_twin(config: Config, body: Body, faults: Sequence[bytes], on_ready: Callable[[str], None]) -> int:
     """Run the twin until SIGINT or SIGTERM and return the signal's number.
 
-    Args:
-        config: Ports and settings, as for the daemon.
-        body: Robot behind the ports.
-        faults: Messages for `Faults.apply`, active from the start.
-        on_ready: Receives one line with the open ports.
+    The faults are messages for `Faults.apply`, active from the start. `on_ready` receives one line with the open ports.
 
     Raises:
         DeviceError: A port is not available.

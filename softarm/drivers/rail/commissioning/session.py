@@ -63,14 +63,7 @@ class DriveSession:
         pause: Callable[[float], object] = time.sleep,
         on_exchange: Callable[[], object] = lambda: None,
     ) -> None:
-        """Prepare a session.
-
-        Args:
-            settings: Settings of the axis.
-            clock: Monotonic clock, ns.
-            pause: Waits for a number of seconds.
-            on_exchange: Called at each exchange, some hundred times a second during a homing.
-        """
+        """Prepare a session; `on_exchange` is called some hundred times a second during a homing."""
         self.settings, self.clock, self.pause = settings, clock, pause
         self.was_operating = False
         self._on_exchange = on_exchange
