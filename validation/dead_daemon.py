@@ -9,7 +9,6 @@ the cart to the stop, the time to the open valve, and the travel of the cart.
 """
 
 import asyncio
-import contextlib
 import os
 import random
 import signal
@@ -17,7 +16,8 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,9 @@ from softarm.common.processes import bar
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.cameras import TwinState
 from softarm.drivers.twin.main import Twin
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from softarm.schemas.config import Config
-from validation.daemon_process import plugins, rail_process_of, recover
-from validation.matrix.faulty_policies import PLUGINS
+from validation.daemon_process import DisturbedDaemon
 
 SWING_S = (0.3, 2.0)  # how long the policy drives before the disturbance
 REST_S = 5.0  # longer than any stop takes
@@ -44,72 +43,46 @@ SAMPLE_S = 0.002
 SPEED_M_S = 0.2  # minimum speed at the disturbance
 
 
-class Robot(threading.Thread):
-    """Thread that runs the twin on an asyncio loop of its own."""
-
-    def __init__(self, config: Config) -> None:
-        super().__init__(name="robot", daemon=True)
-        self._config = config
-        self._ready, self._over = threading.Event(), threading.Event()
-        self._problem: BaseException | None = None
-        self.twin: Twin
-        self.seen: list[tuple[float, float, bool]] | None = None  # time, cart position, whether the valve was open
-
-    def run(self) -> None:
-        """Simulate the robot until `end`."""
-        realtime.outrank_own_threads(self._config.control.realtime_priority)
-        try:
-            asyncio.run(self._serve())
-        except BaseException as error:
-            self._problem = error
-        self._ready.set()
-
-    async def _serve(self) -> None:
-        async with Twin(self._config, body=SimulatedBody()) as twin:
-            twin.faults.start("rail_keeps_going")
-            self.twin = twin
-            self._ready.set()
-            while not self._over.is_set():
-                if self.seen is not None:
-                    self.seen.append((time.monotonic(), twin.state.cart_position_m, twin.teensy.set_point_kpa == 0.0))
-                await asyncio.sleep(SAMPLE_S)
-
-    def wait(self) -> None:
-        """Wait until the interfaces are open; raise the error that prevented it."""
-        self._ready.wait()
-        if self._problem is not None:
-            raise self._problem
-
-    def end(self) -> None:
-        """End the thread and wait for it."""
-        self._over.set()
-        self.join(5.0)
-
-    @property
-    def state(self) -> TwinState:
-        """Return the true state of the robot."""
-        return self.twin.state
-
-
-class Rig(SoftwareInTheLoop):
-    """Daemon that drives the robot from end to end."""
+class Rig(DisturbedDaemon):
+    """Daemon that drives a robot of this process from end to end."""
 
     def __init__(self, folder: Path) -> None:
         self._trigger = folder / "lock"
         policy = {"plugin": "rush", "options": {"trigger": str(self._trigger), "lock_s": LOCK_S}}
         overrides = {"policies": {"rush": policy}, "control": {"policy": "rush"}, "goals": {"time_limit_s": 600}}
         super().__init__(folder / "logs", overrides)
-        self.robot = Robot(Config.model_validate(self.settings))
+        self.robot: Twin
+        self.seen: list[tuple[float, float, bool]] | None = None  # time, cart position, whether the valve was open
+        self._ready: Future[Twin] = Future()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._simulate, name="robot", daemon=True)
 
     def start_twin(self) -> None:
-        """Start the robot in this process."""
-        self.robot.start()
-        self.robot.wait()
+        """Simulate the robot in a thread of this process."""
+        self._thread.start()
+        self.robot = self._ready.result()
 
-    def start_daemon(self) -> None:
-        """Start a daemon, acknowledging the latch that a killed one left."""
-        self.daemon = self._start("run", self.config_file)
-        recover(self, RECOVER_S)
+    def _simulate(self) -> None:
+        realtime.outrank_own_threads(Config().control.realtime_priority)
+        try:
+            asyncio.run(self._serve())
+        except BaseException as error:
+            self._ready.set_exception(error)
+
+    async def _serve(self) -> None:
+        async with Twin(Config.model_validate(self.settings), body=SimulatedBody()) as twin:
+            twin.faults.start("rail_keeps_going")
+            self._ready.set_result(twin)
+            while not self._over.is_set():
+                if self.seen is not None:
+                    self.seen.append((time.monotonic(), twin.state.cart_position_m, twin.teensy.set_point_kpa == 0.0))
+                await asyncio.sleep(SAMPLE_S)
+
+    def end(self) -> None:
+        """End the daemon, then the robot."""
+        super().end()
+        self._over.set()
+        self._thread.join(5.0)
 
     def rush(self) -> None:
         """Arm and let the policy drive, retrying for `RECOVER_S`.
@@ -127,40 +100,29 @@ class Rig(SoftwareInTheLoop):
                 # A busy machine may cause a stop.
                 if time.monotonic() > deadline:
                     raise
-                recover(self, RECOVER_S)
+                self.recover(RECOVER_S)
 
     def lock(self) -> None:
         """Make the policy hold the interpreter's lock."""
         self._trigger.touch()
 
-    def signal_daemon(self, number: int) -> None:
-        """Send a signal to the daemon."""
-        assert self.daemon is not None
-        self.daemon.send_signal(number)
-
-    def signal_rail(self, number: int) -> None:
-        """Send a signal to the rail's process."""
-        assert self.daemon is not None
-        os.kill(rail_process_of(self.daemon.pid), number)
-
     def go_on(self) -> None:
         """Return to a daemon that can drive."""
-        assert self.daemon is not None
-        self.daemon.send_signal(signal.SIGCONT)
+        self.process.send_signal(signal.SIGCONT)
         try:
-            self.daemon.wait(KILLED_S)
+            self.process.wait(KILLED_S)
         except subprocess.TimeoutExpired:
-            recover(self, RECOVER_S)
+            self.recover(RECOVER_S)
         else:
             self.start_daemon()
 
 
 CASES: dict[str, Callable[[Rig], None]] = {
-    "daemon: kill -9": lambda rig: rig.signal_daemon(signal.SIGKILL),
-    "daemon: SIGSTOP": lambda rig: rig.signal_daemon(signal.SIGSTOP),
+    "daemon: kill -9": lambda rig: rig.process.kill(),
+    "daemon: SIGSTOP": lambda rig: rig.process.send_signal(signal.SIGSTOP),
     f"daemon: interpreter's lock held for {LOCK_S:g} s": Rig.lock,
-    "rail's process: kill -9": lambda rig: rig.signal_rail(signal.SIGKILL),
-    "rail's process: SIGSTOP": lambda rig: rig.signal_rail(signal.SIGSTOP),
+    "rail's process: kill -9": lambda rig: os.kill(rig.rail_process(), signal.SIGKILL),
+    "rail's process: SIGSTOP": lambda rig: os.kill(rig.rail_process(), signal.SIGSTOP),
 }
 
 
@@ -179,7 +141,7 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict
     realtime.outrank_other_programs(Config().control.realtime_priority)
     draw = random.Random(0)
     figures: dict[str, Any] = {}
-    with _rig() as rig:
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, Rig(Path(folder)) as rig:
         for number, name in enumerate(cases):
             trials = []
             for repeat in range(repeats):
@@ -187,17 +149,6 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict
                 report((number + (repeat + 1) / repeats) / len(cases))
             figures[name] = _figures(trials)
     return figures
-
-
-@contextlib.contextmanager
-def _rig() -> Iterator[Rig]:
-    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, plugins(PLUGINS):
-        rig = Rig(Path(folder))
-        try:
-            with rig:
-                yield rig
-        finally:
-            rig.robot.end()
 
 
 def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str, float]:
@@ -208,13 +159,13 @@ def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str
     while abs(robot.state.cart_velocity_m_s) < speed_m_s and time.monotonic() < deadline:
         time.sleep(0.001)
     seen: list[tuple[float, float, bool]] = []
-    before, began_s, robot.seen = robot.state, time.monotonic(), seen
+    before, began_s, rig.seen = robot.state, time.monotonic(), seen
     do(rig)
     deadline = time.monotonic() + REST_S
     while not _at_rest(state := robot.state) and time.monotonic() < deadline:
         time.sleep(SAMPLE_S)
     time.sleep(0.1)
-    robot.seen = None
+    rig.seen = None
     assert state.halted_after_s is not None, "the cart received no stop"
     rig.go_on()
     places = [before.cart_position_m, *(place for _, place, _ in seen)]

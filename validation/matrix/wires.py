@@ -11,7 +11,7 @@ import os
 import random
 import threading
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -21,10 +21,12 @@ import zenoh
 from softarm.drivers.mocap.zenoh_session import client, listener
 from softarm.drivers.regulator import cobs
 from softarm.drivers.twin.cameras import STATE_KEY
+from softarm.schemas.config import Config
 
 SLOW_S = 0.06  # almost two ticks
 RETRY_S = 0.05
 CLOCK_JUMP_S = 10.0
+KEY = Config().drivers.mocap.key
 DEVICE_TIME = slice(6, 10)  # of a regulator frame's body: the sender's microseconds, docs/reference/wires.md
 
 Direction = Literal["read", "write"]  # from the daemon's side
@@ -45,11 +47,31 @@ class Fault(StrEnum):
 class Wire:
     """Current fault of one wire, and its effect on data."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop) -> None:
         self._random = random.Random(seed)
+        self._loop = loop
         self._fault: Fault | None = None
         self._directions: tuple[Direction, ...] = ()
         self._passed: dict[Direction, bytes] = {}
+        self._task: asyncio.Task[None]
+
+    async def open(self) -> None:
+        """Connect both sides, and again after each disconnection."""
+        self._task = self._loop.create_task(self._keep_connected())
+
+    async def close(self) -> None:
+        """Disconnect both sides for good."""
+        self._task.cancel()
+        self._disconnect()
+        await asyncio.wait([self._task])
+
+    async def _keep_connected(self) -> None:
+        """Connect while there is no connection and none is refused."""
+        raise NotImplementedError
+
+    def _disconnect(self) -> None:
+        """Close the current connection, if there is one."""
+        raise NotImplementedError
 
     def spoil(self, fault: Fault, *directions: Direction) -> None:
         """Apply a fault in the given directions until `mend`."""
@@ -62,8 +84,8 @@ class Wire:
         self._fault = None
 
     def hang_up(self) -> None:
-        """Close the current connection, if there is one."""
-        raise NotImplementedError
+        """Close the current connection, from any thread."""
+        self._loop.call_soon_threadsafe(self._disconnect)
 
     @property
     def hung_up(self) -> bool:
@@ -100,30 +122,16 @@ class Wire:
 class RailWire(Wire):
     """TCP relay at the address where the daemon expects the drive."""
 
-    def __init__(self, seed: int, port: int, device_port: int) -> None:
-        super().__init__(seed)
+    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop, port: int, device_port: int) -> None:
+        super().__init__(seed, loop)
         self._port, self._device_port = port, device_port
         self._open: set[asyncio.StreamWriter] = set()
-        self._server: asyncio.Server | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
 
-    async def open(self) -> None:
-        """Listen for the daemon."""
-        self._loop = asyncio.get_running_loop()
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
+    async def _keep_connected(self) -> None:
+        async with await asyncio.start_server(self._serve, "127.0.0.1", self._port) as server:
+            await server.serve_forever()
 
-    async def close(self) -> None:
-        """Stop listening for connections."""
-        self._abort()
-        if self._server is not None:
-            self._server.close()
-
-    def hang_up(self) -> None:
-        """Close the connections of both sides."""
-        if self._loop is not None:
-            self._loop.call_soon_threadsafe(self._abort)
-
-    def _abort(self) -> None:
+    def _disconnect(self) -> None:
         for writer in self._open:
             writer.transport.abort()
 
@@ -148,10 +156,9 @@ class RailWire(Wire):
             self._open -= ends
 
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, direction: Direction) -> None:
-        loop = asyncio.get_running_loop()
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
-                loop.call_later(self.delay_s(direction), _write, writer, self.through(data, direction))
+                self._loop.call_later(self.delay_s(direction), _write, writer, self.through(data, direction))
 
 
 def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
@@ -162,30 +169,12 @@ def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
 class RegulatorWire(Wire):
     """Pty at the path of the serial port, joined to the device's own pty."""
 
-    def __init__(self, seed: int, path: Path, device_path: Path) -> None:
-        super().__init__(seed)
+    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop, path: Path, device_path: Path) -> None:
+        super().__init__(seed, loop)
         self._path, self._device_path = path, device_path
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._host: tuple[int, int] | None = None  # both ends of the pty
         self._device: int | None = None
-        self._task: asyncio.Task[None] | None = None
         self._deframer = cobs.Deframer()
-
-    async def open(self) -> None:
-        """Create the pty, and again after each hang-up."""
-        self._loop = asyncio.get_running_loop()
-        self._task = asyncio.create_task(self._keep_plugged())
-
-    async def close(self) -> None:
-        """Remove the pty again."""
-        if self._task is not None:
-            self._task.cancel()
-        self._unplug()
-
-    def hang_up(self) -> None:
-        """Close the pty, as an unplugged cable does."""
-        if self._loop is not None:
-            self._loop.call_soon_threadsafe(self._unplug)
 
     def jumped(self, data: bytes) -> bytes:
         """Return a frame with its time set ahead and a correct CRC."""
@@ -196,7 +185,7 @@ class RegulatorWire(Wire):
             ahead += cobs.frame(body[: DEVICE_TIME.start] + later + body[DEVICE_TIME.stop :])
         return ahead
 
-    async def _keep_plugged(self) -> None:
+    async def _keep_connected(self) -> None:
         while True:
             if self._host is None and not self.hung_up and self._device_path.exists():
                 with contextlib.suppress(OSError):
@@ -204,7 +193,6 @@ class RegulatorWire(Wire):
             await asyncio.sleep(RETRY_S)
 
     def _plug(self) -> None:
-        assert self._loop is not None
         self._device = os.open(self._device_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(self._device)
         self._host = os.openpty()
@@ -216,12 +204,12 @@ class RegulatorWire(Wire):
         self._loop.add_reader(self._device, self._pump, self._device, self._host[0], "read")
         self._loop.add_reader(self._host[0], self._pump, self._host[0], self._device, "write")
 
-    def _unplug(self) -> None:
+    def _disconnect(self) -> None:
+        """Close the pty, as an unplugged cable does."""
         self._path.unlink(missing_ok=True)
         for end in (*(self._host or ()), self._device):
             if end is not None:
-                if self._loop is not None:
-                    self._loop.remove_reader(end)
+                self._loop.remove_reader(end)
                 os.close(end)
         self._host = self._device = None
 
@@ -233,9 +221,8 @@ class RegulatorWire(Wire):
         except OSError:
             data = b""
         if not data:
-            self._unplug()
+            self._disconnect()
             return
-        assert self._loop is not None
         self._loop.call_later(self.delay_s(direction), self._put, sink, self.through(data, direction))
 
     def _put(self, sink: int, data: bytes) -> None:
@@ -251,36 +238,17 @@ class MocapWire(Wire):
     """
 
     def __init__(
-        self, seed: int, key: str, endpoint: str, camera_endpoint: str, report_state: Callable[[dict[str, Any]], None]
+        self,
+        seed: int,
+        loop: asyncio.AbstractEventLoop,
+        endpoint: str,
+        camera_endpoint: str,
+        report_state: Callable[[dict[str, Any]], None],
     ) -> None:
-        super().__init__(seed)
-        self._key, self._endpoint, self._camera_endpoint = key, endpoint, camera_endpoint
+        super().__init__(seed, loop)
+        self._endpoint, self._camera_endpoint = endpoint, camera_endpoint
         self._report_state = report_state
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._cameras: zenoh.Session | None = None
         self._daemon: zenoh.Session | None = None
-        self._task: asyncio.Task[None] | None = None
-
-    async def open(self) -> None:
-        """Receive frames, and wait for the daemon's endpoint."""
-        self._loop = asyncio.get_running_loop()
-        self._cameras = zenoh.open(listener(self._camera_endpoint))
-        self._cameras.declare_subscriber(self._key, self._receive)
-        self._cameras.declare_subscriber(STATE_KEY, self._receive_state)
-        self._task = asyncio.create_task(self._keep_connected())
-
-    async def close(self) -> None:
-        """Close both Zenoh sessions."""
-        if self._task is not None:
-            self._task.cancel()
-        self._leave()
-        if self._cameras is not None:
-            self._cameras.close()  # type: ignore[no-untyped-call]
-
-    def hang_up(self) -> None:
-        """Close the session with the daemon."""
-        if self._loop is not None:
-            self._loop.call_soon_threadsafe(self._leave)
 
     def jumped(self, data: bytes) -> bytes:
         """Return a frame whose capture time is set ahead."""
@@ -289,13 +257,16 @@ class MocapWire(Wire):
         return json.dumps(frame).encode()
 
     async def _keep_connected(self) -> None:
-        while True:
-            if self._daemon is None and not self.hung_up:
-                with contextlib.suppress(zenoh.ZError):
-                    self._daemon = await asyncio.to_thread(zenoh.open, client(self._endpoint))
-            await asyncio.sleep(RETRY_S)
+        with zenoh.open(listener(self._camera_endpoint)) as cameras:
+            cameras.declare_subscriber(KEY, self._receive)
+            cameras.declare_subscriber(STATE_KEY, self._receive_state)
+            while True:
+                if self._daemon is None and not self.hung_up:
+                    with contextlib.suppress(zenoh.ZError):
+                        self._daemon = await asyncio.to_thread(zenoh.open, client(self._endpoint))
+                await asyncio.sleep(RETRY_S)
 
-    def _leave(self) -> None:
+    def _disconnect(self) -> None:
         session, self._daemon = self._daemon, None
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
@@ -305,12 +276,9 @@ class MocapWire(Wire):
 
     def _receive(self, sample: zenoh.Sample) -> None:
         """Receive a frame on the thread of Zenoh."""
-        if self._loop is not None:
-            data, encoding = sample.payload.to_bytes(), sample.encoding
-            self._loop.call_soon_threadsafe(self._pass_on, data, encoding)
+        self._loop.call_soon_threadsafe(self._pass_on, sample.payload.to_bytes(), sample.encoding)
 
     def _pass_on(self, data: bytes, encoding: zenoh.Encoding) -> None:
-        assert self._loop is not None
         through = self.through(data, "read")
         if through:
             self._loop.call_later(self.delay_s("read"), self._put, through, encoding)
@@ -319,28 +287,25 @@ class MocapWire(Wire):
         if self._daemon is not None:
             with contextlib.suppress(zenoh.ZError):
                 drop = zenoh.CongestionControl.DROP
-                self._daemon.put(self._key, data, encoding=encoding, congestion_control=drop)
+                self._daemon.put(KEY, data, encoding=encoding, congestion_control=drop)
 
 
-class Wires:
-    """Context in which the three wires run in a thread of their own."""
+class Wires(dict[str, Wire]):
+    """Context in which the wire of each device runs on the loop, in a thread of its own."""
 
-    def __init__(self, rail: RailWire, regulator: RegulatorWire, mocap: MocapWire) -> None:
-        self.rail, self.regulator, self.mocap = rail, regulator, mocap
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="wires", daemon=True)
-
-    def __iter__(self) -> Iterator[RailWire | RegulatorWire | MocapWire]:
-        yield from (self.rail, self.regulator, self.mocap)
+    def __init__(self, loop: asyncio.AbstractEventLoop, wires: Mapping[str, Wire]) -> None:
+        super().__init__(wires)
+        self._loop = loop
+        self._thread = threading.Thread(target=loop.run_forever, name="wires", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
-        for wire in self:
+        for wire in self.values():
             asyncio.run_coroutine_threadsafe(wire.open(), self._loop).result(10)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for wire in self:
+        for wire in self.values():
             asyncio.run_coroutine_threadsafe(wire.close(), self._loop).result(10)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5)
