@@ -15,14 +15,13 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
 from benchmarks import results
 from softarm.cli.shared.errors import failing
@@ -62,22 +61,6 @@ class Leg:
     timing: dict[str, float] = field(default_factory=dict)  # in real time only
 
 
-class Arm(Protocol):
-    """Daemon together with a robot."""
-
-    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
-        """Fly one goal from the current state.
-
-        Args:
-            goal: The target.
-            trained: Whether the policy was trained on targets there.
-            last: Observe for another second afterwards.
-        """
-
-    def close(self) -> None:
-        """Release the daemon and the robot."""
-
-
 class Cart:
     """Record of a cart, with its farthest position and how often it exceeded the bound and hit the end of travel."""
 
@@ -102,12 +85,16 @@ class InLockstep:
     def __init__(self, config: Config, policy: Policy, body: Body) -> None:
         self._daemon = Lockstep(config, policy, body=body)
         self._daemon.arm()
-        self._bound_m = bound_m(config)
-        self._cart = Cart(self._bound_m, body.travel_m)
+        self._cart = Cart(bound_m(config), body.travel_m)
         self._period_ns = round(1e9 / config.control.rate_hz)
 
-    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
-        """Fly one goal as `Arm.fly` does.
+    def pursue(self, goal: Goal, trained: bool, last: bool) -> Leg:
+        """Fly one goal from the current state.
+
+        Args:
+            goal: The target.
+            trained: Whether the policy was trained on targets there.
+            last: Observe for another second afterwards.
 
         Raises:
             RuntimeError: The goal was refused.
@@ -131,9 +118,6 @@ class InLockstep:
         excursions, crashes = cart.excursions - excursions, cart.crashes - crashes
         return Leg(reached, trained, cart.max_m, excursions, crashes, stop, sorted(events), seconds)
 
-    def close(self) -> None:
-        """Do nothing, since no resource is held."""
-
     def _tick(self, *requests: Request) -> Outputs:
         robot = self._daemon.robot
         begun_ns = robot.now_ns
@@ -146,7 +130,7 @@ class InLockstep:
 
 
 class Outside(SoftwareInTheLoop):
-    """The daemon as a user starts it, with the outside robot in place of the twin."""
+    """The daemon as a user starts it, with the outside robot in place of the twin, in real time."""
 
     def __init__(self, policy: str, bound: float, logs: Path) -> None:
         super().__init__(logs, {"control": {"policy": policy}})
@@ -172,44 +156,37 @@ class Outside(SoftwareInTheLoop):
             )
         self._wait("outside", self.twin, lambda: self._truth_file.exists() and self._truth_file.stat().st_size > 0)
 
+    def start_daemon(self) -> None:
+        """Start the daemon and arm.
+
+        Raises:
+            SoftwareInTheLoopError: The daemon did not start, or arming was refused.
+        """
+        super().start_daemon()
+        self.arm()
+
     def truth(self) -> dict[str, Any]:
         """Return the robot's true state, at most 50 ms old."""
         while True:  # the file is rewritten in place and may be incomplete
             with contextlib.suppress(json.JSONDecodeError):
                 return dict(json.loads(self._truth_file.read_text()))
 
-
-class OnWires:
-    """The daemon with the outside robot, in real time."""
-
-    def __init__(self, policy: str, bound: float, logs: Path) -> None:
-        """Start both processes and arm.
-
-        Raises:
-            SoftwareInTheLoopError: A process did not start, or arming was refused.
-        """
-        with contextlib.ExitStack() as stack:
-            self._loop = stack.enter_context(Outside(policy, bound, logs))
-            self._loop.arm()
-            self._ends = stack.pop_all()
-
-    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
-        """Fly one goal as `Arm.fly` does.
+    def pursue(self, goal: Goal, trained: bool, last: bool) -> Leg:
+        """Fly one goal as `InLockstep.pursue` does.
 
         Raises:
             SoftwareInTheLoopError: The goal was refused, or a process has ended.
         """
-        loop = self._loop
-        before, missed = loop.truth(), loop.status()["missed_total"]
+        before, missed = self.truth(), self.status()["missed_total"]
         events: set[str] = set()
-        loop.reach(goal)
-        while (status := loop.status())["goal"]["state"] == "running" and status["mode"] == "armed":
+        self.reach(goal)
+        while (status := self.status())["goal"]["state"] == "running" and status["mode"] == "armed":
             events |= {event["name"] for event in status["events"]}
             time.sleep(POLL_S)
         stop = None if status["mode"] == "armed" else str(status["last_stop"])
         if last or stop:
             time.sleep(AFTER_S)
-        after = loop.truth()
+        after = self.truth()
         timing = {name: after[name] - before[name] for name in ("steps", "late_steps", "stalls", "paused_s")}
         return Leg(
             reached=status["goal"]["state"] == "reached",
@@ -222,10 +199,6 @@ class OnWires:
             seconds=status["goal"]["time_s"],
             timing={**timing, "max_late_s": after["max_late_s"], "missed_ticks": status["missed_total"] - missed},
         )
-
-    def close(self) -> None:
-        """End the daemon and the robot."""
-        self._ends.close()
 
 
 def bound_m(config: Config) -> float:
@@ -244,22 +217,20 @@ def draw(config: Config, seed: int, number: int) -> Goal:
             return goal
 
 
-def fly(begin: Callable[[int], Arm], goals: Iterable[tuple[Goal, bool]], on_leg: Callable[[Leg], None]) -> None:
-    """Fly goals, each with whether the policy was trained there; `begin` receives the number of arms used so far."""
-    arms, arm, left = 0, None, list(goals)
-    try:
-        while left:
-            if arm is None:
-                arm, arms = begin(arms), arms + 1
-            (goal, trained), *left = left
-            leg = arm.fly(goal, trained, last=not left)
-            on_leg(leg)
-            if leg.stop is not None:
-                arm.close()
-                arm = None
-    finally:
-        if arm is not None:
-            arm.close()
+Arm = contextlib.nullcontext[InLockstep] | Outside
+
+
+def fly(begin: Callable[[], Arm], goals: Iterable[tuple[Goal, bool]]) -> Iterator[Leg]:
+    """Fly goals, each with whether the policy was trained there; `begin` makes an arm, and another after each stop."""
+    left = list(goals)
+    while left:
+        with begin() as arm:
+            stop = None
+            while left and stop is None:
+                (goal, trained), *left = left
+                leg = arm.pursue(goal, trained, last=not left)
+                stop = leg.stop
+                yield leg
 
 
 def summary(legs: Sequence[Leg]) -> dict[str, Any]:
@@ -302,15 +273,12 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
     config, spec = Config(), registry.load(policy).spec
     legs: list[Leg] = []
 
-    def begin(number: int) -> Arm:
+    def begin() -> Arm:
         if body == "outside":
-            return OnWires(policy, bound_m(config), Path(folder))
-        made: Body = SimulatedBody() if body == "simulated" else IndependentBody(seed=len(legs) + number)
-        return InLockstep(config, registry.load(policy), made)
-
-    def take(leg: Leg) -> None:
-        legs.append(leg)
-        shown.advance()
+            return Outside(policy, bound_m(config), Path(folder))
+        stops = sum(leg.stop is not None for leg in legs)
+        made: Body = SimulatedBody() if body == "simulated" else IndependentBody(seed=len(legs) + stops)
+        return contextlib.nullcontext(InLockstep(config, registry.load(policy), made))
 
     drawn = [draw(config, seed, number) for number in range(goals)]
     aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
@@ -319,7 +287,9 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
         tempfile.TemporaryDirectory(prefix="softarm-") as folder,
         bar(f"chained, {body}", goals) as shown,
     ):
-        fly(begin, aims, take)
+        for leg in fly(begin, aims):
+            legs.append(leg)
+            shown.advance()
     figures = {"body": body, "policy": policy, "seed": seed, **summary(legs)}
     results.write(json_file, figures)
     _say(figures, bound_m(config))
@@ -334,18 +304,17 @@ def _within(trained: TrainingRange | None, goal: Goal) -> bool:
 
 
 def _say(figures: dict[str, Any], bound: float) -> None:
-    console = Console(soft_wrap=True)
-    console.print(
+    click.echo(
         f"{figures['body']}, {figures['policy']}: {figures['reached']} of {figures['goals']} goals reached "
         f"({figures['trained_reached']} of {figures['trained_goals']} in its training range); cart within "
         f"{figures['max_cart_m']:.4f} m, {figures['excursions']} times beyond {bound:g} m, {figures['crashes']} times "
         f"at its end; {sum(figures['stops'].values())} unrequested stops"
     )
     for reason, count in figures["stops"].items():
-        console.print(f"  {count} x {reason}")
+        click.echo(f"  {count} x {reason}")
     if "timing" in figures:
         timing = figures["timing"]
-        console.print(
+        click.echo(
             f"  robot: {timing['late_steps']} of {timing['steps']} steps more than 5 ms late, the latest "
             f"{1e3 * timing['max_late_s']:.0f} ms ({timing['stalls']} times more than 20 ms), paused for "
             f"{timing['paused_s']:.2f} s; daemon: {timing['missed_ticks']} ticks missed"
