@@ -11,18 +11,16 @@ class Target(NamedTuple):
 
     module: str  # file, relative to the package
     tests: tuple[str, ...]
-    root: Path = CHECKOUT
-    package: str = "softarm"  # prefix of the import name; empty for none
 
     @property
     def name(self) -> str:
         """Return the import name of the module."""
-        return ".".join([self.package, *Path(self.module).with_suffix("").parts]).lstrip(".")
+        return ".".join(["softarm", *Path(self.module).with_suffix("").parts])
 
     @property
     def source(self) -> str:
         """Return the source text of the module."""
-        return (self.root / self.package / self.module).read_text(encoding="utf-8")
+        return (CHECKOUT / "softarm" / self.module).read_text(encoding="utf-8")
 
 
 _CONTROL = "tests/daemon/control"

@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
+from softarm.common.revision import CHECKOUT
 from validation import apart
 from validation.mutants.operators import Mutant, mutated
 from validation.mutants.targets import Target
@@ -65,8 +66,8 @@ def trials(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: float 
 
 def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: float) -> list[Trial]:
     """Run the trials in the fresh interpreter."""
-    os.chdir(target.root)
-    sys.path[:] = [str(target.root), *(path for path in sys.path if path)]
+    os.chdir(CHECKOUT)
+    sys.path[:] = [str(CHECKOUT), *(path for path in sys.path if path)]
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     _settle_hypothesis()
     first = _unchanged(target, {})
@@ -145,7 +146,7 @@ def _run(target: Target, mutant: Mutant | None, durations: Mapping[str, float]) 
     watch = _Watch(durations)
     code = 1
     with contextlib.suppress(SystemExit):
-        code = int(pytest.main([*shlex.split(_OPTIONS), f"--rootdir={target.root}", *target.tests], plugins=[watch]))
+        code = int(pytest.main([*shlex.split(_OPTIONS), f"--rootdir={CHECKOUT}", *target.tests], plugins=[watch]))
     modules = [name for name, module in list(sys.modules.items()) if getattr(module, "__spec__", None)]
     return _Run(code, watch.failed, watch.durations, modules)
 
@@ -172,7 +173,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def __init__(self, target: Target, mutant: Mutant | None) -> None:
         self._name = target.name
-        self._file = str(target.root / target.name.replace(".", "/")) + ".py"
+        self._file = str(CHECKOUT / "softarm" / target.module)
         self._tree = mutated(target.source, mutant)
 
     def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
