@@ -8,6 +8,7 @@ priority, runs next to them; its lateness is the machine's share.
 """
 
 import asyncio
+import contextlib
 import gc
 import multiprocessing
 import random
@@ -15,9 +16,9 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import click
 import numpy as np
@@ -50,18 +51,28 @@ def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
         SoftwareInTheLoopError: Twin or daemon do not start.
     """
     with tempfile.TemporaryDirectory() as folder:
-        with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder)) as sil:
+        bare = Path(folder) / "bare"
+        with beside(bare_loop, bare), SoftwareInTheLoop(Path(folder)) as sil:
             log = Path(sil.status()["recorder"]["log"])
             sil.arm()
             idle = swing(sil, seconds, lambda share: report(share / 2))
-            hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(sil.url, seconds + 5.0))
-            hammer.start()
-            time.sleep(2.0)  # the interpreter of the clients starts before the measurement
-            hammered = swing(sil, seconds, lambda share: report(0.5 + share / 2))
-            hammer.terminate()
-            hammer.join()
+            with beside(_hammer, sil.url):
+                time.sleep(2.0)  # the interpreter of the clients starts before the measurement
+                hammered = swing(sil, seconds, lambda share: report(0.5 + share / 2))
         ticks = list(logs.read(log))
         return {"idle": figures(ticks, [idle], bare), "hammered": figures(ticks, [hammered], bare)}
+
+
+@contextlib.contextmanager
+def beside(work: Callable[..., object], *arguments: object) -> Iterator[None]:
+    """Run a function of a module in another process while the context lasts."""
+    process = multiprocessing.get_context("spawn").Process(target=work, args=arguments, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.join()
 
 
 def swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> Window:
@@ -79,32 +90,8 @@ def swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None
     return round(start * 1e9), time.monotonic_ns()
 
 
-class BareLoop:
-    """Process that only wakes 30 times a second and records its lateness."""
-
-    def __init__(self, folder: Path) -> None:
-        self._notes = folder / "bare"
-        context = multiprocessing.get_context("spawn")
-        self._process = context.Process(target=_wake, args=(str(self._notes),), daemon=True)
-
-    def __enter__(self) -> Self:
-        """Start the process."""
-        self._process.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.join()
-
-    def lateness_ns(self, window: Window) -> list[int]:
-        """Return the lateness of the wake-ups within a window."""
-        notes = np.fromfile(self._notes, dtype=np.int64).reshape(-1, 2)
-        within = (window[0] <= notes[:, 0]) & (notes[:, 0] < window[1])
-        return list(map(int, notes[within, 1]))
-
-
-def _wake(notes: str) -> None:
+def bare_loop(notes: Path) -> None:
+    """Wake 30 times a second and write the time and lateness of each wake-up, ns."""
     realtime.outrank_own_threads(Config().control.realtime_priority)
     gc.disable()
     period_ns = round(1e9 / Config().control.rate_hz)
@@ -118,8 +105,14 @@ def _wake(notes: str) -> None:
             file.write(struct.pack("<qq", now, now - deadline))
 
 
-def figures(log: Iterable[Tick], windows: Sequence[Window], bare: BareLoop) -> dict[str, Any]:
-    """Return the punctuality of the loop within some windows of its log."""
+def _lateness_ns(notes: Path, windows: Sequence[Window]) -> list[int]:
+    """Return the lateness of the bare loop's wake-ups within the windows."""
+    woken = np.fromfile(notes, dtype=np.int64).reshape(-1, 2).tolist()
+    return [late for begin, end in windows for t_ns, late in woken if begin <= t_ns < end]
+
+
+def figures(log: Iterable[Tick], windows: Sequence[Window], bare: Path) -> dict[str, Any]:
+    """Return the punctuality of the loop within some windows of its log, and of the bare loop with these notes."""
     ticks = [tick for tick in log if any(begin <= tick[0].t_ns < end for begin, end in windows)]
     timings = [timing for _, _, timing in ticks]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
@@ -127,7 +120,7 @@ def figures(log: Iterable[Tick], windows: Sequence[Window], bare: BareLoop) -> d
         "compute_ms": _spread_ms([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
         "lateness_ms": _spread_ms([inputs.late_ns for inputs, _, _ in ticks]),
         "sensor_to_command_ms": _spread_ms(ages),
-        "bare_loop_lateness_ms": _spread_ms([late for window in windows for late in bare.lateness_ns(window)]),
+        "bare_loop_lateness_ms": _spread_ms(_lateness_ns(bare, windows)),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
@@ -138,11 +131,11 @@ def _spread_ms(values_ns: Sequence[float]) -> dict[str, float]:
     return results.spread([value * 1e-6 for value in values_ns])
 
 
-def _hammer(url: str, seconds: float) -> None:
-    asyncio.run(_hammering(url, seconds))
+def _hammer(url: str) -> None:
+    asyncio.run(_hammering(url))
 
 
-async def _hammering(url: str, seconds: float) -> None:
+async def _hammering(url: str) -> None:
     """Send 200 requests a second over a few connections, with two WebSocket clients that read everything."""
     import httpx
     import websockets
@@ -163,7 +156,7 @@ async def _hammering(url: str, seconds: float) -> None:
     async with httpx.AsyncClient(base_url=url) as client:
         tasks = [ask(client, workers / REQUESTS_PER_S) for _ in range(workers)]
         tasks += [listen() for _ in range(WEBSOCKETS)]
-        await asyncio.wait_for(asyncio.gather(*tasks), seconds + 60.0)
+        await asyncio.gather(*tasks)
 
 
 @click.command()

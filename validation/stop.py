@@ -12,7 +12,6 @@ import asyncio
 import contextlib
 import http.client
 import json
-import multiprocessing
 import random
 import tempfile
 import time
@@ -24,6 +23,7 @@ from typing import Any, NamedTuple
 import click
 
 from benchmarks import results
+from benchmarks.loop import beside
 from softarm.cli.shared.errors import failing
 from softarm.common import realtime
 from softarm.common.processes import bar
@@ -65,7 +65,8 @@ def run(stops: int, attacks: list[str], report: Callable[[float], None]) -> dict
     ):
         ports = Ports(daemon.settings["api"]["port"], daemon.stop_port)
         for number, name in enumerate(attacks):
-            with _attacked(name, ports):
+            with beside(_attack, name, ports):
+                time.sleep(WARM_UP_S)
                 figures[name] = asking.submit(_measure, ports, stops).result()
             report((number + 1) / len(attacks))
     return figures
@@ -110,18 +111,6 @@ def summarize(times_s: list[float | None]) -> dict[str, Any]:
     done = [seconds * 1e3 for seconds in times_s if seconds is not None]
     spread = results.spread(done) if done else dict.fromkeys(("p50", "p99", "p999", "max"))
     return {**spread, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
-
-
-@contextlib.contextmanager
-def _attacked(name: str, ports: Ports) -> Iterator[None]:
-    attackers = multiprocessing.get_context("spawn").Process(target=_attack, args=(name, ports), daemon=True)
-    attackers.start()
-    try:
-        time.sleep(WARM_UP_S)
-        yield
-    finally:
-        attackers.kill()
-        attackers.join()
 
 
 def _attack(name: str, ports: Ports) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 import websockets
 
 from benchmarks import results
-from benchmarks.loop import BareLoop, Window, figures, swing
+from benchmarks.loop import Window, bare_loop, beside, figures, swing
 from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
@@ -48,7 +48,7 @@ def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None
     seen: list[dict[str, Any]] = []
     with (
         tempfile.TemporaryDirectory() as folder,
-        BareLoop(Path(folder)) as bare,
+        beside(bare_loop, bare := Path(folder) / "bare"),
         SimulatedDaemon(Path(folder) / "logs") as daemon,
     ):
         assert daemon.daemon is not None
@@ -86,18 +86,12 @@ def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float) -> Iterato
     Raises:
         SoftwareInTheLoopError: The viewers receive no data.
     """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_watch, args=(daemon.url, viewers, seconds, theirs), daemon=True)
-    process.start()
-    try:
+    ours, theirs = multiprocessing.Pipe()
+    with beside(_watch, daemon.url, viewers, seconds, theirs):
         if not ours.poll(READY_S):
             raise SoftwareInTheLoopError(f"the viewers received no data within {READY_S:g} s")
         ours.recv()
         yield ours
-    finally:
-        process.kill()
-        process.join()
 
 
 def _watch(url: str, viewers: int, seconds: float, way: Connection) -> None:
