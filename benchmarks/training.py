@@ -36,10 +36,10 @@ class Point(NamedTuple):
     report: Shares
 
 
-def first_held(reached: list[bool], held: int = HELD) -> int | None:
-    """Return the index of the first of `held` + 1 successive true values, or None."""
-    for k in range(len(reached) - held):
-        if all(reached[k : k + held + 1]):
+def first_held(reached: list[bool]) -> int | None:
+    """Return the index of the first of HELD + 1 successive true values, or None."""
+    for k in range(len(reached) - HELD):
+        if all(reached[k : k + HELD + 1]):
             return k
     return None
 

@@ -34,6 +34,7 @@ from tools import chromium
 
 TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.64))
 BETWEEN_S = 2.2
+PATIENCE_S = 20.0
 FAULTS, RECORDED = ("regulator.dead_time_s=0.06", "arm.payload_kg=0.03"), ("seed", "free-decay", "rail-steps", "both")
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 # A browser makes a small machine skip ticks, which must not stop a simulated arm.
@@ -57,11 +58,11 @@ def _daemon() -> Iterator[tuple[Daemon, Devices]]:
             made.stop()
 
 
-def _until(met: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
+def _until(met: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
     while not met():
         if time.monotonic() > deadline:
-            raise click.ClickException(f"{what}: not within {seconds:g} s; is this computer busy? Try again")
+            raise click.ClickException(f"{what}: not within {PATIENCE_S:g} s; is this computer busy? Try again")
         time.sleep(0.02)
 
 

@@ -54,17 +54,17 @@ class _Run(NamedTuple):
     modules: list[str]  # imported at the end
 
 
-def trials(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: float = SLACK_S) -> list[Trial]:
+def trials(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial]:
     """Return each mutant with its result.
 
     Raises:
         FailsUnchanged: The tests fail without a change.
     """
     with ProcessPoolExecutor(1, get_context("spawn")) as fresh:  # forks need a process without threads
-        return fresh.submit(_try_all, target, mutants, jobs, slack_s).result()
+        return fresh.submit(_try_all, target, mutants, jobs).result()
 
 
-def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: float) -> list[Trial]:
+def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial]:
     """Run the trials in the fresh interpreter."""
     os.chdir(CHECKOUT)
     sys.path[:] = [str(CHECKOUT), *(path for path in sys.path if path)]
@@ -74,7 +74,7 @@ def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: floa
     _preload(target, first.modules)
     start_s = time.monotonic()
     _unchanged(target, first.durations)  # under the conditions of a mutant
-    limit_s = slack_s + SLACK * (time.monotonic() - start_s)
+    limit_s = SLACK_S + SLACK * (time.monotonic() - start_s)
 
     def tried(mutant: Mutant) -> Trial:
         try:

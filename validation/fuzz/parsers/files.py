@@ -78,8 +78,8 @@ def _long(random: Random) -> bytes:
 _BOMBS: tuple[Callable[[Random], bytes], ...] = (_aliases, _deep, _many, _long)
 
 
-def _yaml(texts: list[str], take: Callable[[Path], object], error: type[Exception], name: str = "file.yaml") -> Parser:
-    return Parser(lambda random: yaml_text(random, texts), lambda data: take(written(name, data)), (error,))
+def _yaml(texts: list[str], take: Callable[[Path], object], error: type[Exception]) -> Parser:
+    return Parser(lambda random: yaml_text(random, texts), lambda data: take(written("file.yaml", data)), (error,))
 
 
 def _configuration() -> Parser:
