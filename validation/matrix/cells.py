@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M, RAIL_TRAVEL_M
-from validation.matrix.faulty_policies import NAMES
+from validation.matrix.faulty_policies import FAULTS
 from validation.matrix.wires import Direction, Fault
 
 # Maximum time from a fault to a braked cart and a vented muscle; a stop waits 1 s for a silent axis.
@@ -27,7 +27,7 @@ NEVER = ("rail_disagrees", "internal_error", "stop_requested")
 FREEZING = ("holds-the-lock",)
 FROZEN = ("mocap_", "pressure_", "rail_", "regulator_", "ticks_")
 # Faults of a policy that do not require a stop.
-TOLERATED = ("sweep", "excessive")
+TOLERATED = ("excessive",)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def cells() -> Iterator[Cell]:
             for fault in Fault:
                 if exists(device, phase, fault):
                     yield Cell(device, phase, fault.value)
-    yield from (Cell("policy", "step", name) for name in NAMES if name != "sweep")
+    yield from (Cell("policy", "step", fault) for fault in FAULTS)
     yield Cell("disk", "write", "full")
     yield from (Cell("rail link", "process", fault) for fault in ("SIGSTOP", "kill -9"))
     yield from (Cell("daemon", "process", fault) for fault in ("SIGSTOP", "kill -9"))

@@ -1,6 +1,7 @@
-"""Policies that fail, each in its own way, and one that keeps the cart moving."""
+"""Policies that keep the cart moving, and fail in one of several ways."""
 
 import ctypes
+import math
 import random
 import time
 from pathlib import Path
@@ -15,9 +16,13 @@ HELD_S = 0.4  # how long one policy keeps the interpreter's lock
 
 
 class Sweep:
-    """Policy that moves the cart back and forth at up to 0.6 m/s."""
+    """Policy that moves the cart back and forth at up to 0.6 m/s until its fault, if it has one."""
 
     spec = PolicySpec("sweep", "sweeps the cart back and forth", needs_target=False)
+
+    def __init__(self, fault: str | None = None) -> None:
+        """Set the fault to one of FAULTS, or None."""
+        self._fault = fault
 
     def reset(self) -> None:
         """Start the sweep again."""
@@ -26,68 +31,29 @@ class Sweep:
     def step(self, observation: Array, goal: Array) -> Array:
         """Return the next command of the sweep, or the faulty answer once the policy fails."""
         self.ticks += 1
-        if self.ticks / 30 > GOOD_S:
-            answer = self._fail()
-            if answer is not None:
-                return answer
+        answer = self._fail() if self.ticks / 30 > GOOD_S else None
+        if answer is not None:
+            return np.array(answer, dtype=np.float32)
         phase = 2 * np.pi * self.ticks / 30 / PERIOD_S
         return np.array([AMPLITUDE_M_S * np.cos(phase), PRESSURE_KPA], dtype=np.float32)
 
-    def _fail(self) -> Array | None:
+    def _fail(self) -> tuple[float, ...] | None:
         """Return the faulty answer, or None to go on."""
-        return None
-
-
-class Raises(Sweep):
-    """Sweep that raises an error."""
-
-    def _fail(self) -> Array | None:
-        raise RuntimeError("a policy's own error")
-
-
-class NotANumber(Sweep):
-    """Sweep that answers NaN."""
-
-    def _fail(self) -> Array | None:
-        return np.full(2, np.nan, dtype=np.float32)
-
-
-class WrongShape(Sweep):
-    """Sweep that answers three numbers."""
-
-    def _fail(self) -> Array | None:
-        return np.zeros(3, dtype=np.float32)
-
-
-class Excessive(Sweep):
-    """Sweep that requests far more than the limits allow."""
-
-    def _fail(self) -> Array | None:
-        return np.array([100.0, 1e6], dtype=np.float32)
-
-
-class Slow(Sweep):
-    """Sweep that takes longer than a tick."""
-
-    def _fail(self) -> Array | None:
-        time.sleep(0.05)
-        return None
-
-
-class Stuck(Sweep):
-    """Sweep that never answers."""
-
-    def _fail(self) -> Array | None:
-        time.sleep(3600)
-        return None
-
-
-class HoldsTheLock(Sweep):
-    """Sweep that keeps the interpreter's lock once, so that no other thread runs meanwhile."""
-
-    def _fail(self) -> Array | None:
-        if self.ticks == int(GOOD_S * 30) + 1:
-            hold_lock(HELD_S)
+        match self._fault:
+            case "raises":
+                raise RuntimeError("a policy's own error")
+            case "not-a-number":
+                return math.nan, math.nan
+            case "wrong-shape":
+                return 0.0, 0.0, 0.0
+            case "excessive":
+                return 100.0, 1e6
+            case "slow":
+                time.sleep(0.05)
+            case "stuck":
+                time.sleep(3600)
+            case "holds-the-lock" if self.ticks == int(GOOD_S * 30) + 1:
+                hold_lock(HELD_S)
         return None
 
 
@@ -121,15 +87,5 @@ def hold_lock(seconds: float) -> None:
     ctypes.PyDLL(None).usleep(int(seconds * 1e6))
 
 
-NAMES = {
-    "sweep": Sweep,
-    "raises": Raises,
-    "not-a-number": NotANumber,
-    "wrong-shape": WrongShape,
-    "excessive": Excessive,
-    "slow": Slow,
-    "stuck": Stuck,
-    "holds-the-lock": HoldsTheLock,
-}
-
-PLUGINS = {name: f"{__name__}:{policy.__name__}" for name, policy in NAMES.items()} | {"rush": f"{__name__}:Rush"}
+FAULTS = ("raises", "not-a-number", "wrong-shape", "excessive", "slow", "stuck", "holds-the-lock")
+PLUGINS = {"sweep": f"{__name__}:Sweep", "rush": f"{__name__}:Rush"}

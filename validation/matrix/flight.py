@@ -46,7 +46,12 @@ class Bench(DisturbedDaemon):
             }
             for side in range(2)
         )
-        overrides = {"drivers": ours, "control": {"policy": "sweep"}, "goals": {"time_limit_s": 600.0}}
+        overrides = {
+            "drivers": ours,
+            "control": {"policy": "sweep"},
+            "goals": {"time_limit_s": 600.0},
+            "policies": {each: {"plugin": "sweep", "options": {"fault": each}} for each in faulty_policies.FAULTS},
+        }
         super().__init__(folder / "logs", overrides, theirs)
         self.truth: list[dict[str, Any]] = []
         loop = asyncio.new_event_loop()
