@@ -27,19 +27,6 @@ _SERVING = re.compile(r"serving (http://\S+)")
 AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}
 
 
-class Stopwatch:
-    """Seconds since the start of the clone, step by step."""
-
-    def __init__(self) -> None:
-        self._begun_s = time.monotonic()
-        self.steps: list[tuple[str, float]] = []
-
-    def passed(self, step: str) -> None:
-        """Record the end of a step."""
-        self.steps.append((step, time.monotonic() - self._begun_s))
-        click.echo(f"{self.steps[-1][1]:6.1f} s  {step}")
-
-
 def typed(command: str, folder: Path, environment: dict[str, str] | None = None) -> None:
     """Run a command as a user would type it.
 
@@ -90,31 +77,26 @@ def click_a_target(url: str, seen: str) -> None:
         expect(page.locator("#goal")).to_contain_text(re.compile(seen), timeout=20_000)
 
 
-def environment_of(clone: Path) -> dict[str, str]:
-    """Return the environment of a terminal with the virtual environment of a clone."""
-    mine = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
-    return {**mine, "VIRTUAL_ENV": str(clone / ".venv"), "PATH": f"{clone / '.venv/bin'}:{os.environ['PATH']}"}
-
-
-def first_use(clone: Path, watch: Stopwatch) -> None:
-    """Run and time every step."""
+def first_use(clone: Path) -> Iterator[str]:
+    """Run every step and yield its name at its end."""
     typed(f"git clone --quiet {CHECKOUT} {clone}", clone.parent)
-    watch.passed("cloned")
-    bare = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    yield "cloned"
+    mine = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    bare = {key: value for key, value in os.environ.items() if key not in mine}
     typed("make demo", clone, bare)
-    watch.passed("make demo: set up, ten targets")
-    environment = environment_of(clone)
+    yield "make demo: set up, ten targets"
+    environment = {**bare, "VIRTUAL_ENV": str(clone / ".venv"), "PATH": f"{clone / '.venv/bin'}:{bare['PATH']}"}
     with daemon(clone, environment) as url:
-        watch.passed("softarm run --simulated")
+        yield "softarm run --simulated"
         click_a_target(url, "reached ✓")
-        watch.passed("a target clicked, and reached")
+        yield "a target clicked, and reached"
     typed("softarm new policy my-swing", clone, environment)
     typed("pip install --editable softarm-my-swing", clone, environment)
-    watch.passed("softarm new policy, installed")
+    yield "softarm new policy, installed"
     with daemon(clone, environment) as url:
         typed("softarm policy use my-swing", clone, {**environment, "SOFTARM_URL": url})
         click_a_target(url, "reached ✓|Not reached")  # the first policy is a simple one
-        watch.passed("an own policy flown")
+        yield "an own policy flown"
 
 
 @click.command()
@@ -126,10 +108,13 @@ def main(json_file: Path | None) -> None:
     Example:
       python -m tools.first_use --json first-use.json
     """
+    steps = []
     with tempfile.TemporaryDirectory() as folder:
-        watch = Stopwatch()
-        first_use(Path(folder) / "softarm", watch)
-    steps = [{"step": step, "after_s": round(s, 1), "aim_s": AIMS_S.get(step)} for step, s in watch.steps]
+        begun_s = time.monotonic()
+        for step in first_use(Path(folder) / "softarm"):
+            after_s = time.monotonic() - begun_s
+            click.echo(f"{after_s:6.1f} s  {step}")
+            steps.append({"step": step, "after_s": round(after_s, 1), "aim_s": AIMS_S.get(step)})
     results.report("first-use", {"steps": steps}, json_file)
 
 
