@@ -71,13 +71,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "strength": (*_DIAGNOSIS, "softarm/reality"),
     "sweep": _TRAINING,
     "training": (*_TRAINING, "benchmarks/training.py"),
-    "viewers": (
-        *_WIRES,
-        "softarm/daemon/access",
-        "softarm/daemon/api",
-        "softarm/daemon/logbook",
-        "validation/viewers.py",
-    ),
+    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", "validation/viewers.py"),
 }
 
 

@@ -8,7 +8,6 @@ benchmarks/tables.py. Below the table a line states when and on which revision i
 """
 
 import re
-from pathlib import Path
 from typing import Any
 
 import click
@@ -42,11 +41,7 @@ def _table(name: str) -> str:
         return found
 
     table = TABLES[name](read)
-    return f"{table}\n*{_capitalised('; '.join(measured))}.*\n"
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return f"{table}\n*{'; '.join(measured).capitalize()}.*\n"
 
 
 @click.command()
@@ -58,16 +53,16 @@ def main(check: bool) -> None:
     Example:
       python -m tools.render --check
     """
-    stale = [(page, new) for page in sorted(DOCS.rglob("*.md")) if (new := rendered(text := _text(page))) != text]
-    for page, new in stale:
+    stale = False
+    for page in sorted(DOCS.rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (new := rendered(text)) == text:
+            continue
+        stale = True
         if not check:
             files.write_text(page, new)
         click.echo(f"{page.name}: {'stale; run python -m tools.render' if check else 'written'}")
-    raise SystemExit(check and bool(stale))
-
-
-def _text(page: Path) -> str:
-    return page.read_text(encoding="utf-8")
+    raise SystemExit(check and stale)
 
 
 if __name__ == "__main__":
