@@ -33,7 +33,7 @@ from softarm.recordings.rail_motion import RailMotion
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import RailReading
-from softarm.schemas.model import Model, seed_effects
+from validation.adversary_batch import World
 
 LOOKS = 8  # samples of the body per tick
 PLAYED_S, REACH_S, ATTACK_S = 65.0, 60.0, 30.0
@@ -54,13 +54,8 @@ class Robot:
         if self.body == "reality":
             rail = Rail(acceleration_m_s2=self.ramp_m_s2, delay_s=self.latency_s)
             return Aged(IndependentBody(RobotParameters(rail=rail, arm=Arm(payload_kg=self.payload_kg))), self.age_s)
-        effects = seed_effects() | {
-            "rail.acceleration_limit": {"acceleration": self.ramp_m_s2},
-            "rail.delay": {"delay": self.latency_s},
-        }
-        if self.payload_kg:
-            effects["arm.payload"] = {"mass": self.payload_kg}
-        return Aged(SimulatedBody(Model(effects=effects)), self.age_s)
+        world = World(self.ramp_m_s2, self.latency_s, self.payload_kg, self.age_s, skips=0.0, skipped_max=1)
+        return Aged(SimulatedBody(world.model), self.age_s)
 
     def config(self, **rail: float) -> Config:
         """Return the daemon's configuration, with the drive set to the robot's ramp."""
@@ -83,12 +78,12 @@ ROBOTS = tuple(
 
 
 class Aged:
-    """Body whose axis readings are older than their stamps, with a record of its true motion."""
+    """Body whose axis readings are older than their stamps, with its farthest true position from the middle."""
 
     def __init__(self, body: Body, age_s: float) -> None:
         self._body, self._age_ns = body, round(age_s * 1e9)
         self._seen: deque[RailReading] = deque([body.encoder()], maxlen=1000)
-        self.watched: list[tuple[float, float, float]] = []  # time in s, true position in m, true velocity in m/s
+        self.farthest_m = 0.0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._body, name)
@@ -101,8 +96,7 @@ class Aged:
             self._body.step(cart_velocity_m_s, pressure_kpa, until - done)
             done = until
             self._seen.append(replace(self._body.encoder(), t_receive_ns=self._body.now_ns))
-            truth = self._body.truth
-            self.watched.append((self._body.now_ns * 1e-9, truth.cart_position_m, truth.cart_velocity_m_s))
+            self.farthest_m = max(self.farthest_m, abs(self._body.truth.cart_position_m))
 
     def encoder(self) -> RailReading:
         """Return an old reading with a current stamp."""
@@ -171,7 +165,7 @@ def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.
         else:
             y_m, z_m = goals.uniform((-0.4, 0.55), (0.0, 0.75)).tolist()
             outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, z_m)))
-    return Flight(motion(ticks, config), max(abs(y) for _, y, _ in body.watched), max(stops, 0))
+    return Flight(motion(ticks, config), body.farthest_m, max(stops, 0))
 
 
 def measured(robot: Robot) -> RailFindings:
