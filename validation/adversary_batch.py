@@ -145,12 +145,9 @@ class Flown(NamedTuple):
     drag_m_s: float  # largest speed above every command that may have acted unobserved
 
 
-def fly(world: World, limits: RailLimits, policies: Policies, ticks: int, rng: Rng) -> Flown:
-    """Simulate a batch from rest; readings are `age_s` old, and skipped ticks count."""
-    return _Batch(world, limits, policies, rng).fly(ticks)
+class Batch:
+    """Robots of a world, each with a policy of its own; their readings are `age_s` old."""
 
-
-class _Batch:
     def __init__(self, world: World, limits: RailLimits, policies: Policies, rng: Rng) -> None:
         robots = len(policies.kind)
         self._world, self._policies, self._rng = world, policies, rng
@@ -166,6 +163,7 @@ class _Batch:
         self._look()
 
     def fly(self, ticks: int) -> Flown:
+        """Simulate ticks from rest; skipped ticks count."""
         clamped, done, times = 0.0, 0, 0
         while done < ticks:
             read_s, position, velocity = self._read()
@@ -272,7 +270,7 @@ def measured(world: World, robots: int, rng: Rng) -> RailLimits:
     )
     genes = None
     for _ in range(2 + GENERATIONS):
-        flown = fly(world, limits, Policies(robots, rng, genes), MEASURED_TICKS, rng)
+        flown = Batch(world, limits, Policies(robots, rng, genes), rng).fly(MEASURED_TICKS)
         genes = Genes.draw(rng, robots) if genes is None else genes.bred(flown.farthest_m, rng)
         limits = limits.model_copy(
             update={
@@ -289,14 +287,14 @@ def attack(world: World, robots: int, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     limits = measured(world, robots, rng)
     policies = Policies(robots, rng)
-    flown = fly(world, limits, policies, FLOWN_TICKS, rng)
+    flown = Batch(world, limits, policies, rng).fly(FLOWN_TICKS)
     farthest = {
         name: float(flown.farthest_m[policies.kind == kind].max(initial=0.0)) for kind, name in enumerate(KINDS)
     }
     beyond, clamped = [flown.farthest_m], [flown.clamped]
     genes = Genes.draw(rng, robots)
     for _ in range(GENERATIONS):
-        flown = fly(world, limits, Policies(robots, rng, genes), FLOWN_TICKS, rng)
+        flown = Batch(world, limits, Policies(robots, rng, genes), rng).fly(FLOWN_TICKS)
         genes = genes.bred(flown.farthest_m, rng)
         beyond.append(flown.farthest_m)
         clamped.append(flown.clamped)

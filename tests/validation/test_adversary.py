@@ -6,7 +6,7 @@ import pytest
 from softarm.schemas.config import RailLimits
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M
 from validation import adversary_batch
-from validation.adversary_batch import Genes, Policies, World, attack, fly
+from validation.adversary_batch import Batch, Genes, Policies, World, attack
 
 NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
 POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, and ticks are skipped
@@ -24,7 +24,7 @@ def test_the_default_limits_hold_the_nominal_robot_against_the_worst_policy():
     robots, rng = 32, np.random.default_rng(0)
     genes = Genes(*(np.full(robots, each) for each in (1.15, 1.0, 0.43, 1.0, 0.38, 0.6)))
     genes = Genes(*(each + 0.02 * rng.standard_normal(robots) for each in genes))
-    flown = fly(NOMINAL, RailLimits(), Policies(robots, rng, genes), 200, rng)
+    flown = Batch(NOMINAL, RailLimits(), Policies(robots, rng, genes), rng).fly(200)
     assert 0.22 < flown.farthest_m.max() < RAIL_LIMIT_M + RAIL_EXCURSION_M
-    mild = fly(NOMINAL, RailLimits(braking_m_s2=4.0, surge_m_s2=8.0), Policies(robots, rng, genes), 200, rng)
+    mild = Batch(NOMINAL, RailLimits(braking_m_s2=4.0, surge_m_s2=8.0), Policies(robots, rng, genes), rng).fly(200)
     assert mild.farthest_m.max() > RAIL_LIMIT_M + RAIL_EXCURSION_M
