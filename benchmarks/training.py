@@ -20,7 +20,6 @@ from softarm.schemas.flights import Shares
 from softarm.training.learn import validation
 from softarm.training.learn.inference import Workers, workers
 from softarm.training.run.recipe import RECIPES, begin
-from softarm.training.run.session import Session
 
 LEVEL = Shares(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on hardware
 HELD = 3  # further validations at the level
@@ -49,11 +48,11 @@ def is_at_level(report: Shares) -> bool:
     return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
 
 
-def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES_MOST) -> list[Point]:
+def follow(seed: int, out: Path, pool: Workers, frames_most: int) -> list[Point]:
     """Train until the level is held or `frames_most` is reached; return one point per validation."""
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
-    session = make()
+    session = begin(RECIPES["reach"], seed, out, pool, resume=False)
     while session.frames < frames_most and first_held([is_at_level(point.report) for point in points]) is None:
         standing = session.advance()
         if len(session.curve) % session.config.validate_every:
@@ -77,8 +76,7 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
     frames = seconds = 0.0
     with workers() as pool, TemporaryDirectory() as folder:
         for seed in seeds:
-            out = Path(folder) / str(seed)
-            points = follow(lambda: begin(RECIPES["reach"], seed, out, pool, resume=False), pool, frames_most)  # noqa: B023
+            points = follow(seed, Path(folder) / str(seed), pool, frames_most)
             place = first_held([is_at_level(point.report) for point in points])
             times.append(None if place is None else points[place].seconds)
             frames_there.append(None if place is None else points[place].frames)
