@@ -1,7 +1,6 @@
 """The robot of validation/outside: it shares no code with softarm and follows the page."""
 
 import ast
-import csv
 import re
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ import pytest
 
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
+from tests.drivers.wires_page import table, vectors
 from validation import outside
 from validation.outside import regulator
 from validation.outside.body import STOP_M, Body
@@ -17,22 +17,8 @@ from validation.outside.drive import OFF, RUN, Drive
 from validation.outside.robot import STEP_S, Robot
 
 FOLDER = Path(outside.__file__).parent
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
-PAGE = (REFERENCE / "wires.md").read_text(encoding="utf-8")
 OTHERS = {"numpy", "zenoh"}
 UNRELIED = 1 << 10 | 1 << 12  # of 6041h: the page's vectors show the twin's
-
-
-def rows(first: str) -> list[list[str]]:
-    """Cells of every line of the page whose first cell matches."""
-    lines = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in PAGE.splitlines() if line[:1] == "|"]
-    return [cells for cells in lines if re.fullmatch(first, cells[0])]
-
-
-def vectors(name: str) -> list[list[str]]:
-    """Return the rows of a file with test vectors."""
-    with (REFERENCE / "vectors" / name).open(newline="") as lines:
-        return list(csv.reader(lines))[1:]
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.name)
@@ -81,9 +67,7 @@ def test_the_outside_drive_follows_the_page() -> None:
     assert answered == 28
 
 
-@pytest.mark.parametrize(
-    "row", rows("[0-9A-F]{4}h") and [r for r in rows("[0-9A-F]{4}h") if r[1][2:4] == "h "], ids=str
-)
+@pytest.mark.parametrize("row", table("word", "in", "leads to", "and"), ids=lambda row: " ".join(row[:3]))
 def test_each_controlword_leads_to_the_state_of_the_page(row: list[str]) -> None:
     word, before, after = (int(cell.split("h")[0], 16) for cell in row[:3])
     drive = Drive(None, 0.0, keep=False)
