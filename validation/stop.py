@@ -15,7 +15,7 @@ import json
 import random
 import tempfile
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,25 +118,10 @@ def _attack(name: str, ports: Ports) -> None:
     asyncio.run(ATTACKS[name](ports))
 
 
-async def _nothing(_: Ports) -> None:
-    await asyncio.sleep(3600)
-
-
-async def _idle(ports: Ports) -> None:
-    await _crowd(CLIENTS, ports.api, _stay_connected)
-
-
-async def _idle_at_the_stop(ports: Ports) -> None:
-    await _crowd(CLIENTS, ports.stop, _stay_connected)
-
-
-async def _slow_bodies(ports: Ports) -> None:
-    await _crowd(SLOW_CLIENTS, ports.api, _send_slowly)
-
-
 async def _keys(ports: Ports) -> None:
     body = json.dumps({"kind": "hold"} | {f"key{i}": i for i in range(KEYS)}).encode()
-    chunked = b"".join(b"%x\r\n%b\r\n" % (len(part), part) for part in _parts(body, 60_000)) + b"0\r\n\r\n"
+    parts = [body[at : at + 60_000] for at in range(0, len(body), 60_000)]
+    chunked = b"".join(b"%x\r\n%b\r\n" % (len(part), part) for part in parts) + b"0\r\n\r\n"
     with_length = _head(b"Content-Length: %d" % len(body)) + body
     without = _head(b"Transfer-Encoding: chunked") + chunked
 
@@ -175,10 +160,6 @@ def _head(line: bytes) -> bytes:
     return b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n" + line + b"\r\n\r\n"
 
 
-def _parts(body: bytes, size: int) -> Iterator[bytes]:
-    yield from (body[at : at + size] for at in range(0, len(body), size))
-
-
 Client = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
@@ -199,12 +180,12 @@ async def _crowd(clients: int, port: int, act: Client) -> None:
 
 
 ATTACKS: dict[str, Attack] = {
-    "nothing": _nothing,
-    f"{CLIENTS} idle clients": _idle,
-    "bodies of megabytes, slowly": _slow_bodies,
+    "nothing": lambda ports: asyncio.sleep(3600),
+    f"{CLIENTS} idle clients": lambda ports: _crowd(CLIENTS, ports.api, _stay_connected),
+    "bodies of megabytes, slowly": lambda ports: _crowd(SLOW_CLIENTS, ports.api, _send_slowly),
     f"goals of {KEYS} keys": _keys,
     "policies being swapped": _policies,
-    f"{CLIENTS} idle clients at the stop port": _idle_at_the_stop,
+    f"{CLIENTS} idle clients at the stop port": lambda ports: _crowd(CLIENTS, ports.stop, _stay_connected),
 }
 
 
