@@ -6,7 +6,7 @@ import click
 
 from benchmarks import results
 from softarm.common.processes import bar
-from validation.matrix.cells import Cell, Outcome, cells, faults_of
+from validation.matrix.cells import cells, faults_of
 from validation.matrix.flight import fly_all
 
 
@@ -24,15 +24,11 @@ def main(only: str | None, json_file: Path | None) -> None:
     chosen = [cell for cell in cells() if only is None or only in str(cell)]
     if not chosen:
         raise click.BadParameter(f"no cell has this name; allowed: {', '.join(str(cell) for cell in cells())}")
-    flown: list[tuple[Cell, Outcome]] = []
+    figures = []
     with bar("causing faults", len(chosen)) as shown:
-
-        def report(cell: Cell, outcome: Outcome) -> None:
-            flown.append((cell, outcome))
+        for cell, outcome in fly_all(chosen):
+            figures.append({**vars(cell), **vars(outcome), "wrong": faults_of(cell, outcome)})
             shown.advance(1)
-
-        fly_all(chosen, report)
-    figures = [{**vars(cell), **vars(outcome), "wrong": faults_of(cell, outcome)} for cell, outcome in flown]
     results.report("matrix", {"cells": figures}, json_file)
     raise SystemExit(any(cell["wrong"] for cell in figures))
 

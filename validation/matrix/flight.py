@@ -9,7 +9,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
@@ -227,7 +227,7 @@ def _measure(bench: Bench, outcome: Outcome, mark: int, crashes: int, since_ns: 
     outcome.braked_ms, outcome.vented_ms = after_ms("braked_since_ns"), after_ms("vented_since_ns")
 
 
-def fly_all(cells: list[Cell], report: Callable[[Cell, Outcome], None]) -> None:
+def fly_all(cells: list[Cell]) -> Iterator[tuple[Cell, Outcome]]:
     """Fly cells one after the other.
 
     Raises:
@@ -235,4 +235,4 @@ def fly_all(cells: list[Cell], report: Callable[[Cell, Outcome], None]) -> None:
     """
     with tempfile.TemporaryDirectory(prefix="softarm-matrix-") as folder, Bench(Path(folder)) as bench:
         for cell in cells:
-            report(cell, fly(bench, cell))
+            yield cell, fly(bench, cell)

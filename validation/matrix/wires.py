@@ -13,6 +13,7 @@ import threading
 import tty
 from collections.abc import Callable, Mapping
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -92,12 +93,12 @@ class Wire:
         """Return whether connections are currently refused."""
         return self._fault is Fault.DISCONNECT
 
-    def delay_s(self, direction: Direction) -> float:
-        """Return how much later data arrives."""
-        return SLOW_S if self._fault is Fault.SLOW and direction in self._directions else 0.0
+    def pass_on(self, data: bytes, direction: Direction, put: Callable[[bytes], None]) -> None:
+        """Call `put` with the data that comes out at the other end, when it does."""
+        slow = self._fault is Fault.SLOW and direction in self._directions
+        self._loop.call_later(SLOW_S if slow else 0.0, put, self._through(data, direction))
 
-    def through(self, data: bytes, direction: Direction) -> bytes:
-        """Return the data that comes out at the other end."""
+    def _through(self, data: bytes, direction: Direction) -> bytes:
         fault = self._fault if direction in self._directions else None
         match fault:
             case None:
@@ -158,12 +159,7 @@ class RailWire(Wire):
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, direction: Direction) -> None:
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
-                self._loop.call_later(self.delay_s(direction), _write, writer, self.through(data, direction))
-
-
-def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
-    if not writer.is_closing():
-        writer.write(data)
+                self.pass_on(data, direction, lambda out: None if writer.is_closing() else writer.write(out))
 
 
 class RegulatorWire(Wire):
@@ -223,7 +219,7 @@ class RegulatorWire(Wire):
         if not data:
             self._disconnect()
             return
-        self._loop.call_later(self.delay_s(direction), self._put, sink, self.through(data, direction))
+        self.pass_on(data, direction, partial(self._put, sink))
 
     def _put(self, sink: int, data: bytes) -> None:
         if self._host is not None and sink in (self._host[0], self._device):
@@ -276,15 +272,11 @@ class MocapWire(Wire):
 
     def _receive(self, sample: zenoh.Sample) -> None:
         """Receive a frame on the thread of Zenoh."""
-        self._loop.call_soon_threadsafe(self._pass_on, sample.payload.to_bytes(), sample.encoding)
+        put = partial(self._put, sample.encoding)
+        self._loop.call_soon_threadsafe(self.pass_on, sample.payload.to_bytes(), "read", put)
 
-    def _pass_on(self, data: bytes, encoding: zenoh.Encoding) -> None:
-        through = self.through(data, "read")
-        if through:
-            self._loop.call_later(self.delay_s("read"), self._put, through, encoding)
-
-    def _put(self, data: bytes, encoding: zenoh.Encoding) -> None:
-        if self._daemon is not None:
+    def _put(self, encoding: zenoh.Encoding, data: bytes) -> None:
+        if data and self._daemon is not None:
             with contextlib.suppress(zenoh.ZError):
                 drop = zenoh.CongestionControl.DROP
                 self._daemon.put(KEY, data, encoding=encoding, congestion_control=drop)
