@@ -6,17 +6,8 @@ from typing import Any
 from benchmarks.markdown import Read, markdown
 
 
-def blind(read: Read) -> str:
-    """Return the rate of right answers next to the targets."""
-    return _beside_aims(read("blind"))
-
-
-def blind_again(read: Read) -> str:
-    """Return the same figures for robots drawn after a change of the chain's interval."""
-    return _beside_aims(read("blind-again"))
-
-
-def _beside_aims(scored: Mapping[str, Any]) -> str:
+def beside_aims(scored: Mapping[str, Any]) -> str:
+    """Return the rate of right answers of a blind benchmark next to the targets."""
     found = scored["methods"]["diagnose"]
     cells = {**found["measures"], **found["coverage"]}
     aims = {
@@ -96,8 +87,8 @@ def _named(effects: Iterable[Mapping[str, Any]]) -> Iterable[str]:
 
 
 TABLES: dict[str, Callable[[Read], str]] = {
-    "blind": blind,
-    "blind-again": blind_again,
+    "blind": lambda read: beside_aims(read("blind")),
+    "blind-again": lambda read: beside_aims(read("blind-again")),  # after a change of the chain's interval
     "blind-methods": blind_methods,
     "beside-sysid": beside_sysid,
 }

@@ -33,7 +33,7 @@ from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
 ROBOTS = 4096
-STEPS = 60  # of a timed flight
+STEPS, MUJOCO_STEPS = 60, 1  # of a timed flight
 BATCHES = (1, 8, 128, 1024, 4096, 16384)
 REFERENCE_SUBSTEPS = 400
 CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
@@ -194,10 +194,8 @@ def _scaling(rounds: int) -> dict[str, Any]:
 class _Race:
     """Both simulators, warmed up; each call simulates ROBOTS robots and returns control steps per second."""
 
-    MUJOCO_STEPS = 1
-
     def __init__(self, mujoco_substeps: int, threads: int) -> None:
-        velocity, pressure = (each[: self.MUJOCO_STEPS] for each in commands.smooth(ROBOTS, seed=3))
+        velocity, pressure = (each[:MUJOCO_STEPS] for each in commands.smooth(ROBOTS, seed=3))
         self.ours = _Flight(MODEL, ROBOTS).speed
         self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / CONTROL_PERIOD_S, actuators=True))
         self._workers = [mujoco.MjData(self._model) for _ in range(threads)]
@@ -211,7 +209,7 @@ class _Race:
     def mujoco(self) -> float:
         start = time.perf_counter()
         self._pool.rollout(self._model, self._workers, self._rest, self._control, state=self._states, skip_checks=False)
-        return ROBOTS * self.MUJOCO_STEPS / (time.perf_counter() - start)
+        return ROBOTS * MUJOCO_STEPS / (time.perf_counter() - start)
 
 
 @click.command()
