@@ -62,6 +62,7 @@ def follow(seed: int, out: Path, pool: Workers, frames_most: int) -> list[Point]
         assert isinstance(report, Shares)
         points.append(Point(now - start - aside, standing.frames, report))
         aside += time.monotonic() - now
+    session.events.close()  # its thread would write into the folder while it is removed
     return points
 
 
