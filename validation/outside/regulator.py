@@ -1,5 +1,6 @@
 """Firmware of the regulator board: COBS frames on a pseudo-terminal, without a clock of its own."""
 
+import binascii
 import contextlib
 import os
 import select
@@ -16,22 +17,13 @@ _SAY = struct.Struct("<IBHf")
 _LENGTHS = {_HELLO: _HEAD.size, _COMMAND: _HEAD.size + _CALL.size}
 _TTL, _TOKEN, _RANGE, _SEQUENCE = 1, 2, 4, 16
 _REFUSALS = _TOKEN | _RANGE | _SEQUENCE
+_CRC_INIT = 0xFFFF  # CRC-16/IBM-3740
 _UNPLUGGED_S = 0.01
-
-
-def crc16(data: bytes) -> int:
-    """Return the CRC-16/IBM-3740 of the data."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
 
 
 def stuff(body: bytes) -> bytes:
     """Return a frame with its final zero; the body is shorter than 252 bytes."""
-    data = body + struct.pack("<H", crc16(body))
+    data = body + struct.pack("<H", binascii.crc_hqx(body, _CRC_INIT))
     return b"".join(bytes([len(run) + 1]) + run for run in data.split(b"\0")) + b"\0"
 
 
@@ -46,7 +38,7 @@ def unstuff(frame: bytes) -> bytes | None:
         if frame[at] < 0xFF and end < len(frame):
             data.append(0)
         at = end
-    if len(data) < 3 or crc16(bytes(data[:-2])) != int.from_bytes(data[-2:], "little"):
+    if len(data) < 3 or binascii.crc_hqx(data[:-2], _CRC_INIT) != int.from_bytes(data[-2:], "little"):
         return None
     return bytes(data[:-2])
 
