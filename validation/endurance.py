@@ -4,12 +4,10 @@ python -m validation.endurance --json FILE      a million episodes of 100 contro
 """
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 import numpy as np
-from rich.console import Console
 
 from benchmarks import results
 from softarm.common.processes import bar
@@ -24,18 +22,14 @@ BATCH = 4096
 COILED_RAD = 5.0
 
 
-@dataclass(frozen=True)
-class Episodes:
-    """Results of a batch of episodes."""
+def fly(robots: int, seed: int) -> tuple[bool, int]:
+    """Simulate one episode per robot, with full-range commands every tenth of a second and a shelf within reach.
 
-    finite: bool
-    coiled: int  # robots that ended coiled up
-
-
-def fly(robots: int, seed: int, rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> Episodes:
-    """Simulate one episode per robot, with full-range commands every tenth of a second and a shelf within reach."""
+    Returns:
+        Whether all robots stayed finite, and how many ended coiled up.
+    """
     rng = np.random.default_rng(seed)
-    simulator = Simulator(None, robots, rate_hz, overrides=draw(rng, robots))
+    simulator = Simulator(None, robots, TRAINING_PHYSICS_RATE_HZ, overrides=draw(rng, robots))
     simulator.place_shelf(rng.uniform(-0.6, -0.25, robots), rng.uniform(0.55, 0.7, robots))
     simulator.reset(
         cart_position_m=rng.uniform(-0.025, RAIL_LIMIT_M, robots),
@@ -49,7 +43,7 @@ def fly(robots: int, seed: int, rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> Ep
         simulator.step(velocity, pressure)
     angles = simulator.link_angles_rad
     finite = bool(np.isfinite(angles).all() and np.isfinite(simulator.cart_position_m).all())
-    return Episodes(finite, int((np.abs(angles).max(axis=1) > COILED_RAD).sum()))
+    return finite, int((np.abs(angles).max(axis=1) > COILED_RAD).sum())
 
 
 def draw(rng: np.random.Generator, robots: int) -> dict[str, np.ndarray]:
@@ -83,11 +77,11 @@ def main(episodes: int, json_file: Path | None) -> None:
     figures = {
         "episodes": len(batches) * BATCH,
         "seconds": time.perf_counter() - start,
-        "batches_with_nan": sum(not each.finite for each in batches),
-        "coiled_up": sum(each.coiled for each in batches),
+        "batches_with_nan": sum(not finite for finite, _ in batches),
+        "coiled_up": sum(coiled for _, coiled in batches),
     }
     results.write(json_file, figures)
-    Console(soft_wrap=True).print(
+    click.echo(
         f"{figures['episodes']:,} episodes in {figures['seconds']:.0f} s: "
         f"{figures['batches_with_nan']} batches with NaN, {figures['coiled_up']} arms coiled up"
     )
