@@ -9,8 +9,6 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parents[3]
-
 
 class Parser(NamedTuple):
     """Parser under test: how to draw a case, the call to test, and the errors that it may raise."""

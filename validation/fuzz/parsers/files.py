@@ -7,8 +7,9 @@ from typing import Any
 
 import yaml
 
+from softarm.common.revision import CHECKOUT
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import ROOT, Parser, folder, written
+from validation.fuzz.parsers.base import Parser, folder, written
 
 _TRIAL = "kind: chirp\nrail: held\n"
 _SWEEP = """\
@@ -88,7 +89,7 @@ def _configuration() -> Parser:
     def take(path: Path) -> None:
         configuration.effective_limits(configuration.read(path))
 
-    texts = [(ROOT / name).read_text(encoding="utf-8") for name in ("softarm.yaml", "twin.yaml")]
+    texts = [(CHECKOUT / name).read_text(encoding="utf-8") for name in ("softarm.yaml", "twin.yaml")]
     texts.append("policies:\n  p: {plugin: pid, options: {gain: 1.5}}\nrecorder: {keep_mb: 2000}\napi: {port: 0}\n")
     return _yaml(texts, take, configuration.ConfigurationError)
 
