@@ -10,7 +10,6 @@ docstrings must start with what the thing does or is. Pages: also the length of 
 import ast
 import io
 import re
-import subprocess
 import tokenize
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import NamedTuple
 import click
 
 from softarm.common.revision import CHECKOUT
+from tools.sizes import listed
 
 # Archaic words and metaphors, each with the field's term. A word of one letter case matches all.
 WORDS = {
@@ -99,11 +99,8 @@ def findings(file: Path) -> Iterator[Finding]:
 
 def tracked(places: tuple[Path, ...] = ()) -> list[Path]:
     """Return the Python files and pages under the given places that git tracks, without symbolic links."""
-    command = ["git", "ls-files", "--", *map(str, places)]
-    listed = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=True).stdout.splitlines()
-    files = (CHECKOUT / name for name in listed)
-    checked = (file for file in files if file.suffix in {".py", ".md"} and file.name not in OWN)
-    return [file for file in checked if file.is_file() and not file.is_symlink()]
+    files = (CHECKOUT / name for name in listed(CHECKOUT, *map(str, places)))
+    return [file for file in files if file.suffix in {".py", ".md"} and file.name not in OWN and file.is_file()]
 
 
 def is_reference(page: Path) -> bool:

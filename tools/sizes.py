@@ -17,9 +17,9 @@ from softarm.common.revision import CHECKOUT
 LONG_FUNCTION_LINES = 50
 
 
-def listed(root: Path, pattern: str) -> list[str]:
+def listed(root: Path, *patterns: str) -> list[str]:
     """Return the files that git tracks, without symbolic links."""
-    done = subprocess.run(["git", "ls-files", pattern], cwd=root, capture_output=True, text=True, check=True)
+    done = subprocess.run(["git", "ls-files", "--", *patterns], cwd=root, capture_output=True, text=True, check=True)
     return [name for name in done.stdout.splitlines() if not (root / name).is_symlink()]
 
 
