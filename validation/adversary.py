@@ -10,9 +10,6 @@ Skipped ticks count as ticks.
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
-from itertools import count, islice
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,7 @@ import click
 import numpy as np
 
 from benchmarks import results
-from softarm.common.processes import bar
+from softarm.common.processes import as_they_come, bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
@@ -238,14 +235,15 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
             table = cost(COST_POLICIES, lambda: shown.advance(1))
         results.report("adversary-cost", {"cost": table}, json_file)
         return
-    started, found = time.perf_counter(), []
+    started = time.perf_counter()
     ticks_of_a_world = (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD
     worlds = -(-ticks // ticks_of_a_world)
-    with bar("worlds", worlds) as shown, ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        for each in pool.map(_law if through == "law" else _tick, islice(count(seed * 1_000_000), worlds)):
-            found.append(each)
+    seeds, found = range(seed * 1_000_000, seed * 1_000_000 + worlds), {}
+    with bar("worlds", worlds) as shown:
+        for number, each in as_they_come(_law if through == "law" else _tick, seeds, jobs):
+            found[number] = each
             shown.advance(1)
-    figures = summed(found)
+    figures = summed([found[number] for number in seeds])
     figures |= {"through": through, "seed": seed, "wall_s": round(time.perf_counter() - started, 1)}
     results.write(json_file, figures)
     farthest_mm, allowed_mm = 1e3 * figures["worst"][0]["beyond_m"], 1e3 * RAIL_EXCURSION_M
