@@ -103,14 +103,6 @@ class Job(NamedTuple):
     way: str
 
 
-class Flown(NamedTuple):
-    """Result of the flights of a job."""
-
-    flights: int
-    reached: int
-    stopped: int  # stopped by the failsafe
-
-
 def begun(
     policy: Policy, body: str, cart_start_m: float, seed: int, dropout_s: float = 0.0, way: str = "default"
 ) -> tuple[Lockstep, Ticks]:
@@ -132,8 +124,8 @@ def begun(
     return daemon, ticks
 
 
-def fly(job: Job) -> Flown:
-    """Fly all targets, each from one of the three starts."""
+def fly(job: Job) -> dict[str, int]:
+    """Fly all targets, each from one of the three starts; count the flights, the reached and those that stopped."""
     reached = stopped = 0
     policy = registry.load(job.policy)
     for number, goal in enumerate(TEST_TARGETS):
@@ -141,7 +133,7 @@ def fly(job: Job) -> Flown:
         daemon, _ = begun(policy, job.body, start_m, number, job.dropout_ms * 1e-3, job.way)
         reached += daemon.pursue(goal).reached
         stopped += daemon.outputs is not None and daemon.outputs.mode is not Mode.ARMED
-    return Flown(len(TEST_TARGETS), reached, stopped)
+    return {"flights": len(TEST_TARGETS), "reached": reached, "stopped": stopped}
 
 
 class Window(NamedTuple):
@@ -281,15 +273,12 @@ def main(
             click.echo(f"{name}: {number:.4g}")
         return
     jobs = [Job("reach", body, ms, way) for body in bodies for ms in dropouts_ms for way in WAYS]
-    flown: dict[Job, Flown] = {}
+    flights = []
     with bar("flying", len(jobs)) as shown:
-        for job, came in as_they_come(fly, jobs, processes):
-            flown[job] = came
+        for job, counts in as_they_come(fly, jobs, processes):
+            flights.append(job._asdict() | counts)
             shown.advance(1)
-    figures = {
-        "flights": [job._asdict() | came._asdict() for job, came in flown.items()],
-        "tip_rms_m": {body: errors(body) for body in bodies},
-    }
+    figures = {"flights": flights, "tip_rms_m": {body: errors(body) for body in bodies}}
     results.report("bridging", figures, json_file)
     click.echo(TABLES["estimates"](lambda _: figures))
 
