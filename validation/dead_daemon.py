@@ -47,8 +47,8 @@ class Rig(DisturbedDaemon):
     """Daemon that drives a robot of this process from end to end."""
 
     def __init__(self, folder: Path) -> None:
-        self._trigger = folder / "lock"
-        policy = {"plugin": "rush", "options": {"trigger": str(self._trigger), "lock_s": LOCK_S}}
+        self.trigger = folder / "lock"  # once it exists, the policy holds the interpreter's lock
+        policy = {"plugin": "rush", "options": {"trigger": str(self.trigger), "lock_s": LOCK_S}}
         overrides = {"policies": {"rush": policy}, "control": {"policy": "rush"}, "goals": {"time_limit_s": 600}}
         super().__init__(folder / "logs", overrides)
         self.robot: Twin
@@ -102,10 +102,6 @@ class Rig(DisturbedDaemon):
                     raise
                 self.recover(RECOVER_S)
 
-    def lock(self) -> None:
-        """Make the policy hold the interpreter's lock."""
-        self._trigger.touch()
-
     def go_on(self) -> None:
         """Return to a daemon that can drive."""
         self.process.send_signal(signal.SIGCONT)
@@ -120,7 +116,7 @@ class Rig(DisturbedDaemon):
 CASES: dict[str, Callable[[Rig], None]] = {
     "daemon: kill -9": lambda rig: rig.process.kill(),
     "daemon: SIGSTOP": lambda rig: rig.process.send_signal(signal.SIGSTOP),
-    f"daemon: interpreter's lock held for {LOCK_S:g} s": Rig.lock,
+    f"daemon: interpreter's lock held for {LOCK_S:g} s": lambda rig: rig.trigger.touch(),
     "rail's process: kill -9": lambda rig: os.kill(rig.rail_process(), signal.SIGKILL),
     "rail's process: SIGSTOP": lambda rig: os.kill(rig.rail_process(), signal.SIGSTOP),
 }
