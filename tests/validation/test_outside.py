@@ -53,7 +53,7 @@ def without_unrelied(telegram: bytes) -> bytes:
 
 def test_the_outside_drive_follows_the_page() -> None:
     """Up to the new connection: what a drive shows after it has braked by itself is its own."""
-    drive, answered = Drive(None, 0.0, keep=False), 0
+    drive, answered = Drive(0.0, keep=False), 0
     drive.step(STEP_S, 0.0, 0.0, 0.0)
     for says, *telegrams in vectors("rail.csv"):
         if says == "*a new connection*":
@@ -70,7 +70,7 @@ def test_the_outside_drive_follows_the_page() -> None:
 @pytest.mark.parametrize("row", table("word", "in", "leads to", "and"), ids=lambda row: " ".join(row[:3]))
 def test_each_controlword_leads_to_the_state_of_the_page(row: list[str]) -> None:
     word, before, after = (int(cell.split("h")[0], 16) for cell in row[:3])
-    drive = Drive(None, 0.0, keep=False)
+    drive = Drive(0.0, keep=False)
     drive.state = before
     drive.answer(telegram(0x6040, word, 2), 0.0)
     assert drive.state == after
@@ -85,8 +85,9 @@ def telegram(index: int, value: int, size: int) -> bytes:
 
 def running(keep: bool = False, latency_s: float = 0.0) -> Robot:
     """In operation at time 0."""
-    robot = Robot(Body(), Drive(6.0, latency_s, keep, friction_n=3.0), bound_m=0.2)
-    for index, value, size in ((0x6060, 3, 1), (0x6040, 6, 2), (0x6040, 7, 2), (0x6040, 15, 2)):
+    robot = Robot(Body(), Drive(latency_s, keep, friction_n=3.0), bound_m=0.2)
+    ramps = [(index, 600_000, 4) for index in (0x6083, 0x6084, 0x6085)]
+    for index, value, size in (*ramps, (0x6060, 3, 1), (0x6040, 6, 2), (0x6040, 7, 2), (0x6040, 15, 2)):
         robot.drive.answer(telegram(index, value, size), 0.0)
     assert robot.drive.state == RUN
     return robot
@@ -135,7 +136,7 @@ def test_a_cart_without_power_is_rolled_by_the_arm(
     for _ in range(round(held_s / STEP_S)):
         body.step(STEP_S, 0.0, 0.0, servo_ns_m=1e5)
     begin_m = body.cart_m
-    robot = Robot(body, Drive(None, 0.0, keep=False), bound_m=1.0)
+    robot = Robot(body, Drive(0.0, keep=False), bound_m=1.0)
     for step in range(2000):
         robot.step(step * STEP_S)
     assert abs(begin_m) < 0.001

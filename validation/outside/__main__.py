@@ -44,7 +44,7 @@ def main() -> None:
 
     with contextlib.suppress(PermissionError):  # before any thread starts, since threads inherit it
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    drive = Drive(None, LATENCY_S, keep=False, friction_n=FRICTION_N)
+    drive = Drive(LATENCY_S, keep=False, friction_n=FRICTION_N)
     robot = Robot(Body(FRICTION_N), drive, options.bound_m)
     port = Port(drive, "127.0.0.1", options.rail_port)
     board = Board(robot.firmware, options.serial, lambda: robot.body.pressure_kpa)

@@ -75,7 +75,6 @@ class Drive:
     """One drive, homed by default and with its enable input high.
 
     Args:
-        ramp_m_s2: Actual acceleration (None: from 6083h to 6085h).
         latency_s: Delay from a written 60FFh to the start of the ramp.
         keep: Keep the last set-point when the master is gone or silent.
         friction_n: Friction of axis and motor that the servo compensates.
@@ -84,13 +83,12 @@ class Drive:
 
     def __init__(
         self,
-        ramp_m_s2: float | None,
         latency_s: float,
         keep: bool,
         friction_n: float = 0.0,
         unreferenced_at_m: float | None = None,
     ) -> None:
-        self._fixed_ramp, self._latency_s, self._keep = ramp_m_s2, latency_s, keep
+        self._latency_s, self._keep = latency_s, keep
         self._values: dict[int | tuple[int, int], int] = dict.fromkeys(_OBJECTS, 0)
         self._values |= {0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x6098: _POSITIVE_SWITCH}
         self._zero = Zero(unreferenced_at_m is None, unreferenced_at_m or 0.0)
@@ -138,8 +136,7 @@ class Drive:
         faster = target * self._ref >= 0 and abs(target) > abs(self._ref)
         searching = target and self._values[0x6060] == 6
         ramp = 0x6085 if quick else 0x609A if searching else 0x6083 if faster else 0x6084
-        written = self._values[ramp] / _UNITS
-        most = (self._fixed_ramp or written) * h
+        most = self._values[ramp] / _UNITS * h
         self._ref += max(-most, min(most, target - self._ref))
 
     def _servo(self, h: float, feed_m_s2: float, error_m_s: float) -> tuple[float, float]:

@@ -107,7 +107,7 @@ class OutsideWorld(World):
 
     def __init__(self, start_m: float) -> None:
         super().__init__()
-        self.drive = Drive(6.0, 0.02, keep=True, friction_n=3.0, unreferenced_at_m=start_m)
+        self.drive = Drive(0.02, keep=True, friction_n=3.0, unreferenced_at_m=start_m)
         self.robot = Robot(Body(cart_m=start_m), self.drive, bound_m=0.3)
         self._answer = self.drive.answer
         self.drive.answer = self.answer  # type: ignore[method-assign]
