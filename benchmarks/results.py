@@ -126,16 +126,17 @@ def spread(values: Sequence[float]) -> dict[str, float]:
     return {"p50": p50, "p99": p99, "p999": p999, "max": top}
 
 
-def measured(root: Path = CHECKOUT) -> str:
+def measured() -> str:
     """Return the revision of the code under test; changed results and pages do not count as changes."""
     aside = [":(exclude)docs", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
-    same = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", ".", *aside], cwd=root, check=False).returncode == 0
-    return revision(root).removesuffix("+changes") if same else revision(root)
+    command = ["git", "diff", "--quiet", "HEAD", "--", ".", *aside]
+    same = subprocess.run(command, cwd=CHECKOUT, check=False).returncode == 0
+    return revision(CHECKOUT).removesuffix("+changes") if same else revision(CHECKOUT)
 
 
-def read(name: str, folder: Path = FOLDER) -> dict[str, Any]:
+def read(name: str) -> dict[str, Any]:
     """Return a stored result by its name."""
-    found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     return found
 
 

@@ -23,8 +23,8 @@ def found() -> str | None:
 
 
 @contextlib.contextmanager
-def opened(*options: str) -> "Iterator[Browser]":
-    """Run Chromium while the context lasts, with further options of its command line.
+def opened() -> "Iterator[Browser]":
+    """Run Chromium while the context lasts.
 
     Raises:
         click.ClickException: Chromium or Playwright is not installed.
@@ -36,7 +36,7 @@ def opened(*options: str) -> "Iterator[Browser]":
     with sync_playwright() as playwright:
         # Chromium refuses to build its sandbox as root.
         rights = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=path, args=[*rights, *options])
+        browser = playwright.chromium.launch(executable_path=path, args=rights)
         try:
             yield browser
         finally:

@@ -9,14 +9,14 @@ from validation.mutants.operators import Key, Mutant
 FILE = Path(__file__).with_name("explained.yaml")
 
 
-def read(path: Path = FILE) -> dict[str, dict[Key, str]]:
-    """Return the reasons of a file: module -> key of the mutant -> reason.
+def read() -> dict[str, dict[Key, str]]:
+    """Return the reasons of the file: module -> key of the mutant -> reason.
 
     Raises:
         yaml_lines.FileError: The file cannot be read.
         ValueError: An entry is incomplete.
     """
-    modules = yaml_lines.read(path, "it lists the mutants that may live").data or {}
+    modules = yaml_lines.read(FILE, "it lists the mutants that may live").data or {}
     return {
         module: {key: entry["why"] for entry in entries for key in _keys(module, entry)}
         for module, entries in modules.items()
