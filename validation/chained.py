@@ -26,8 +26,8 @@ import numpy as np
 from benchmarks import results
 from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
+from softarm.daemon.control import workspace
 from softarm.daemon.control.records import Mode, Outputs, Request
-from softarm.daemon.control.workspace import refusals
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.independent import IndependentBody
@@ -37,7 +37,6 @@ from softarm.policies import registry
 from softarm.policies.base import Policy
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
-from softarm.schemas.policy import TrainingRange
 from softarm.schemas.robot import RAIL_EXCURSION_M
 
 STOP_M = 0.0005  # distance from the end of travel that counts as a hit
@@ -213,7 +212,7 @@ def draw(config: Config, seed: int, number: int) -> Goal:
     while True:
         y_m, z_m = rng.uniform((space.y_min_m, space.z_min_m), (space.y_max_m, space.z_max_m)).tolist()
         goal = Goal("reach", y_m, z_m)
-        if not refusals(goal, config):
+        if not workspace.refusals(goal, config):
             return goal
 
 
@@ -270,7 +269,7 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
     Example:
       python -m validation.chained --body reality --goals 200
     """
-    config, spec = Config(), registry.load(policy).spec
+    config, trained = Config(), registry.load(policy).spec.trained
     legs: list[Leg] = []
 
     def begin() -> Arm:
@@ -281,7 +280,7 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
         return contextlib.nullcontext(InLockstep(config, registry.load(policy), made))
 
     drawn = [draw(config, seed, number) for number in range(goals)]
-    aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
+    aims = [(goal, trained is not None and not workspace.warnings(goal, policy, trained)) for goal in drawn]
     with (
         failing(SoftwareInTheLoopError, RuntimeError),
         tempfile.TemporaryDirectory(prefix="softarm-") as folder,
@@ -294,13 +293,6 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
     results.write(json_file, figures)
     _say(figures, bound_m(config))
     raise SystemExit(bool(figures["excursions"] or figures["crashes"] or figures["stops"]))
-
-
-def _within(trained: TrainingRange | None, goal: Goal) -> bool:
-    if trained is None:
-        return False
-    (y_low, y_high), (z_low, z_high) = trained.target_y_m, trained.target_z_m
-    return y_low <= goal.y_m <= y_high and z_low <= goal.z_m <= z_high
 
 
 def _say(figures: dict[str, Any], bound: float) -> None:
