@@ -61,7 +61,7 @@ class Bench(DisturbedDaemon):
             "mocap": MocapWire(2, loop, endpoints[0], endpoints[1], self.truth.append),
         }
         self.wires = Wires(loop, wires)
-        self._outside = str(folder)
+        self._bench_folder = str(folder)
 
     def __enter__(self) -> Self:
         self.wires.__enter__()
@@ -73,7 +73,7 @@ class Bench(DisturbedDaemon):
 
     def plain(self, text: str) -> str:
         """Return a text without folder and ports, which differ between runs."""
-        return re.sub(r"127\.0\.0\.1:\d+", "127.0.0.1", text.replace(self._outside, "").replace("|", "/"))
+        return re.sub(r"127\.0\.0\.1:\d+", "127.0.0.1", text.replace(self._bench_folder, "").replace("|", "/"))
 
     def sweep(self, policy: str) -> None:
         """Arm and start a sweeping policy.
