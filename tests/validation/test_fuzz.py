@@ -26,7 +26,6 @@ def test_a_parser_keeps_its_promise(name, monkeypatch):
     ("take", "what"),
     [
         (lambda case: {}["missing"], "KeyError: 'missing'"),
-        (lambda case: int("") if case else next(iter(())), "StopIteration"),
         (lambda case: sum(range(30_000_000)), "units of processor time, allowed 1"),
         (lambda case: len(b"x" * 100_000_000), "MB, allowed 50"),
     ],
