@@ -8,6 +8,7 @@ between clearly stronger than the nuisances (docs/evidence/blind.md) and strong.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,16 +21,22 @@ UNKNOWN = "unknown."
 
 @dataclass(frozen=True, slots=True)
 class Knob:
-    """One or more parameters of the independent robot, `group.field`, that get the same random value."""
+    """A parameter of the independent robot, `group.field`, that gets a random value."""
 
-    paths: tuple[str, ...]
-    how: Literal["set", "add", "times"]
+    path: str
     low: float
     high: float
+    how: Literal["set", "add", "times"] = "set"
     either_way: bool = False  # the opposite sign, or for `times` the inverse, is equally likely
     limit: bool = False  # a limit: strong if its value is small
     rest: float = 0.0  # value without an effect; only for `set`
     shape: bool = False  # changes the form, not the strength
+    also: str = ""  # second parameter that gets the same value
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Parameters that get the value."""
+        return (self.path, self.also) if self.also else (self.path,)
 
     def draw(self, random: np.random.Generator) -> float:
         """Draw a value log-uniformly between low and high, in the parameter's unit."""
@@ -48,27 +55,10 @@ class Knob:
 
 
 Variant = tuple[Knob, ...]
-
-
-def _set(path: str, low: float, high: float, rest: float = 0.0) -> Knob:
-    return Knob((path,), "set", low, high, rest=rest)
-
-
-def _limit(path: str, low: float, high: float, rest: float = math.inf) -> Knob:
-    return Knob((path,), "set", low, high, limit=True, rest=rest)
-
-
-def _shape(path: str, low: float, high: float) -> Knob:
-    return Knob((path,), "set", low, high, shape=True)
-
-
-def _add(path: str, low: float, high: float) -> Knob:
-    return Knob((path,), "add", low, high)
-
-
-def _either(path: str, low: float, high: float) -> Knob:
-    return Knob((path,), "add", low, high, either_way=True)
-
+_limit = partial(Knob, limit=True, rest=math.inf)
+_add = partial(Knob, how="add")
+_either = partial(Knob, how="add", either_way=True)
+_scale = partial(Knob, how="times", either_way=True)
 
 _NOMINAL = RobotParameters()
 # Largest commanded pressure.
@@ -76,47 +66,44 @@ _PRESSED_KPA = 20.0
 # Force that the nominal ramp needs.
 _PUSHED_N = _NOMINAL.rail.acceleration_m_s2 * (_NOMINAL.cart.mass_kg + sum(_NOMINAL.body.link_mass_kg))
 _FILL, _VENT = "regulator.inflate_s", "regulator.deflate_s"
-_LAGS: tuple[Variant, ...] = tuple(
-    (Knob(paths, "times", 1.35, 2.2, either_way=True),) for paths in ((_FILL,), (_VENT,), (_FILL, _VENT))
-)
 
 # Effect -> its variants.
 KNOWN: dict[str, tuple[Variant, ...]] = {
-    "pressure.lag": _LAGS,
-    "pressure.dead_time": ((_set("regulator.dead_time_s", 0.025, 0.080),),),
+    "pressure.lag": ((_scale(_FILL, 1.35, 2.2),), (_scale(_VENT, 1.35, 2.2),), (_scale(_FILL, 1.35, 2.2, also=_VENT),)),
+    "pressure.dead_time": ((Knob("regulator.dead_time_s", 0.025, 0.080),),),
     "pressure.rate_limit": ((_limit("regulator.flow_limit_kpa_s", 20.0, 45.0),),),
-    "pressure.deadband": ((_set("regulator.deadband_kpa", 1.0, 2.5),),),
+    "pressure.deadband": ((Knob("regulator.deadband_kpa", 1.0, 2.5),),),
     "pressure.gain": ((_either("regulator.gain", 0.06, 0.15),), (_either("regulator.offset_kpa", 0.5, 1.2),)),
-    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, _PRESSED_KPA),),),
-    "pressure.leak": ((_set("regulator.leak_1_s", 0.4, 1.2),),),
+    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, rest=_PRESSED_KPA),),),
+    "pressure.leak": ((Knob("regulator.leak_1_s", 0.4, 1.2),),),
     "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.5, 1.5),),),
-    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, _NOMINAL.rail.acceleration_m_s2),),),
-    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2, _PUSHED_N),),),
+    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, rest=_NOMINAL.rail.acceleration_m_s2),),),
+    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2, rest=_PUSHED_N),),),
     "rail.delay": ((_add("rail.delay_s", 0.020, 0.060),),),
-    "rail.lag": ((_set("rail.lag_s", 0.025, 0.080),),),
+    "rail.lag": ((Knob("rail.lag_s", 0.025, 0.080),),),
     "rail.gain": ((_either("rail.feed_error", 0.03, 0.08),),),
-    "rail.coulomb_friction": ((_set("rail.coulomb_n", 1.5, 5.0),),),
-    "rail.backlash": ((_set("rail.backlash_m", 0.002, 0.006),),),
+    "rail.coulomb_friction": ((Knob("rail.coulomb_n", 1.5, 5.0),),),
+    "rail.backlash": ((Knob("rail.backlash_m", 0.002, 0.006),),),
     "arm.stiffness": ((_either("arm.stiffness", 0.12, 0.40),),),
     "arm.damping": ((_add("arm.damping", 0.5, 1.5),),),
     "arm.muscle_gain": ((_either("arm.muscle_gain", 0.10, 0.30),),),
     "arm.torque_offset": ((_either("arm.torque_offset", 0.8, 2.0),),),
-    "arm.coulomb_friction": ((_set("arm.friction_nm", 0.006, 0.030),),),
-    "arm.stiffening": ((_set("arm.stiffening_1_rad2", 2.5, 4.5),),),
-    "arm.hysteresis": ((_set("arm.hysteresis", 0.3, 0.5), _shape("arm.hysteresis_kpa", 6.0, 12.0)),),
+    "arm.coulomb_friction": ((Knob("arm.friction_nm", 0.006, 0.030),),),
+    "arm.stiffening": ((Knob("arm.stiffening_1_rad2", 2.5, 4.5),),),
+    "arm.hysteresis": ((Knob("arm.hysteresis", 0.3, 0.5), Knob("arm.hysteresis_kpa", 6.0, 12.0, shape=True)),),
     "arm.muscle_saturation": ((_limit("arm.saturation_kpa", 12.0, 25.0),),),
-    "arm.payload": ((_set("arm.payload_kg", 0.010, 0.060),),),
+    "arm.payload": ((Knob("arm.payload_kg", 0.010, 0.060),),),
     "arm.tilt": ((_either("arm.tilt_rad", 0.020, 0.060),),),
-    "arm.drag": ((_set("arm.air_kg_m3", 5.0, 15.0),),),
-    "arm.creep": ((_set("arm.creep", 0.15, 0.5), _shape("arm.creep_s", 1.0, 5.0)),),
-    "mocap.latency": ((_set("mocap.latency_s", 0.010, 0.050),),),
-    "mocap.dropout": ((_set("mocap.dropout", 0.05, 0.30),),),
+    "arm.drag": ((Knob("arm.air_kg_m3", 5.0, 15.0),),),
+    "arm.creep": ((Knob("arm.creep", 0.15, 0.5), Knob("arm.creep_s", 1.0, 5.0, shape=True)),),
+    "mocap.latency": ((Knob("mocap.latency_s", 0.010, 0.050),),),
+    "mocap.dropout": ((Knob("mocap.dropout", 0.05, 0.30),),),
     "mocap.rotation": ((_either("mocap.rotation_rad", 0.010, 0.050),),),
     "mocap.scale": ((_either("mocap.scale", 0.01, 0.04),),),
     "mocap.offset": ((_either("mocap.offset_y_m", 0.005, 0.020),), (_either("mocap.offset_z_m", 0.005, 0.020),)),
-    "mocap.noise": ((_set("mocap.noise_m", 0.001, 0.004, _NOMINAL.mocap.noise_m),),),
-    "clock.jitter": ((_set("clock.tick_jitter_s", 0.002, 0.008),),),
-    "clock.missed_ticks": ((_set("clock.missed_ticks", 0.03, 0.15),),),
+    "mocap.noise": ((Knob("mocap.noise_m", 0.001, 0.004, rest=_NOMINAL.mocap.noise_m),),),
+    "clock.jitter": ((Knob("clock.tick_jitter_s", 0.002, 0.008),),),
+    "clock.missed_ticks": ((Knob("clock.missed_ticks", 0.03, 0.15),),),
     "clock.drift": ((_either("clock.camera_drift", 0.001, 0.004),),),
 }
 
@@ -124,23 +111,19 @@ KNOWN: dict[str, tuple[Variant, ...]] = {
 REMOVABLE = ("pressure.lag", "rail.acceleration_limit", "rail.delay", "observation.finite_difference")
 
 
-def _loose(link: int) -> Knob:
-    return Knob(("mocap.loose_link",), "set", link, link)
-
-
-_WOBBLE = (_set("mocap.loose_hz", 2.5, 7.0), _set("mocap.loose_damping", 0.05, 0.3))
+_WOBBLE = (Knob("mocap.loose_hz", 2.5, 7.0), Knob("mocap.loose_damping", 0.05, 0.3))
 
 # Causes outside the registry.
 UNKNOWNS: dict[str, tuple[Variant, ...]] = {
-    "sticking_valve": ((_set("regulator.stick_kpa", 1.0, 3.0), _set("regulator.stick_below_kpa", 6.0, 20.0)),),
-    "random_regulator_delay": ((_set("regulator.dead_time_jitter_s", 0.03, 0.08),),),
-    "random_rail_delay": ((_set("rail.delay_jitter_s", 0.02, 0.06),),),
-    "stribeck_stiction": ((_set("rail.stiction_n", 4.0, 9.0), _set("rail.stribeck_m_s", 0.08, 0.25)),),
-    "cable": ((_set("rail.cable_n_m", 40.0, 150.0), _either("rail.cable_taut_m", 0.001, 0.03)),),
-    "gear_ripple": ((_set("rail.ripple_n", 2.5, 8.0), _set("rail.ripple_period_m", 0.02, 0.06)),),
-    "loose_marker": tuple((_loose(link), *_WOBBLE) for link in (2, 3, 4, 5)),
-    "warming_up": ((_either("arm.softening", 0.2, 0.5), _set("arm.softening_s", 3.0, 12.0)),),
-    "coarse_gauge": ((_set("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
+    "sticking_valve": ((Knob("regulator.stick_kpa", 1.0, 3.0), Knob("regulator.stick_below_kpa", 6.0, 20.0)),),
+    "random_regulator_delay": ((Knob("regulator.dead_time_jitter_s", 0.03, 0.08),),),
+    "random_rail_delay": ((Knob("rail.delay_jitter_s", 0.02, 0.06),),),
+    "stribeck_stiction": ((Knob("rail.stiction_n", 4.0, 9.0), Knob("rail.stribeck_m_s", 0.08, 0.25)),),
+    "cable": ((Knob("rail.cable_n_m", 40.0, 150.0), _either("rail.cable_taut_m", 0.001, 0.03)),),
+    "gear_ripple": ((Knob("rail.ripple_n", 2.5, 8.0), Knob("rail.ripple_period_m", 0.02, 0.06)),),
+    "loose_marker": tuple((Knob("mocap.loose_link", link, link), *_WOBBLE) for link in (2, 3, 4, 5)),
+    "warming_up": ((_either("arm.softening", 0.2, 0.5), Knob("arm.softening_s", 3.0, 12.0)),),
+    "coarse_gauge": ((Knob("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
 }
 _STAGE_OF_GROUP = {"regulator": "pressure", "pressure_sensor": "pressure"}  # of others, the group's own name
 
@@ -163,7 +146,7 @@ class Cause:
 def stage_of(name: str) -> str:
     """Return the stage in which a cause acts."""
     if name.startswith(UNKNOWN):
-        group = variants_of(name)[0][0].paths[0].partition(".")[0]
+        group = variants_of(name)[0][0].path.partition(".")[0]
         return _STAGE_OF_GROUP.get(group, group)
     return name.partition(".")[0]
 
