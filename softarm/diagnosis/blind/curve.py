@@ -8,14 +8,13 @@ Writes the part for soft arm or rigs of `engine/confidence.json`. Published figu
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from softarm.diagnosis.blind import run, seal
-from softarm.diagnosis.blind.score import answer_set, right_names
+from softarm.diagnosis.blind import rigs, run, seal
+from softarm.diagnosis.blind.score import right_names
 from softarm.diagnosis.engine import confidence
-from softarm.schemas.verdict import Verdict
 
 # Edges of the bins. A bin with too few cases, or with a lower share than the one below, is joined with that one.
 MARGINS: Final = (0.0, 0.12, 0.25, 0.5, 0.75, 1.0)
@@ -52,26 +51,24 @@ def _join(below: dict[str, float | int], above: dict[str, float | int]) -> bool:
 def of_robot(labels: seal.Labels, content: dict[str, Any]) -> Iterator[Answer]:
     """Yield every named effect that has a margin, of answers to cases with these labels."""
     for answer in content["answers"]:
-        causes = [cause["name"] for cause in labels.cases[answer["case"]]["causes"]]
-        verdict = Verdict.model_validate_json(json.dumps(answer["verdict"])) if answer["verdict"] else None
-        for effect in verdict.effects if verdict else ():
-            if effect.name in answer["margins"]:
-                kind = "set" if effect.equivalents else "alone"
-                yield kind, answer["margins"][effect.name], not answer_set(effect).isdisjoint(causes)
+        causes = {cause["name"] for cause in labels.cases[answer["case"]]["causes"]}
+        effects = answer["verdict"]["effects"] if answer["verdict"] else ()
+        right = {e["name"]: not causes.isdisjoint((e["name"], *e["equivalents"])) for e in effects}
+        yield from _rated(answer, right)
 
 
 def of_rigs(folder: Path) -> Iterator[Answer]:
     """Yield every named effect that has a margin, of a folder of `softarm.diagnosis.blind.rigs`."""
-    for file in sorted((folder / "truths").glob("*.json")):
-        answered = folder / "answers" / file.name
-        if not answered.is_file():
-            continue
-        truth, answer = (json.loads(each.read_text(encoding="utf-8")) for each in (file, answered))
-        right = right_names(truth, answer)
-        for effect in answer["verdict"]["effects"] if answer["verdict"] else ():
-            if effect["name"] in answer["margins"]:
-                kind = "set" if effect["equivalents"] else "alone"
-                yield kind, answer["margins"][effect["name"]], right[effect["name"]]
+    for truth, answer in rigs.answered(folder):
+        if answer is not None:
+            yield from _rated(answer, right_names(truth, answer))
+
+
+def _rated(answer: Mapping[str, Any], right: Mapping[str, bool]) -> Iterator[Answer]:
+    for effect in answer["verdict"]["effects"] if answer["verdict"] else ():
+        if effect["name"] in answer["margins"]:
+            kind = "set" if effect["equivalents"] else "alone"
+            yield kind, answer["margins"][effect["name"]], right[effect["name"]]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,5 +1,6 @@
 """Simulation of the benchmark's cases: data in one folder, labels and fresh trials elsewhere."""
 
+import secrets
 import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -7,8 +8,7 @@ from pathlib import Path
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.blind import seal
-from softarm.diagnosis.blind.cases import Case, PlannedTrial, draw
-from softarm.reality.parameters import RobotParameters
+from softarm.diagnosis.blind.cases import Case, draw
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.simulator import model_file
@@ -28,7 +28,8 @@ def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for trial in planned:
-            _fly(case.robot, trial, folder / trial.folder)
+            flown, place = EXCITATIONS[trial.excitation], folder / trial.folder
+            record(flown.at, place, flown.duration_s, case.robot, trial.seed, kind=flown.name, held=trial.held)
         model_file.save(case.model, folder / "model.yaml")  # last: it marks the case as complete
     return case.name
 
@@ -60,10 +61,11 @@ def prepare(data: Path, labels_file: Path, fresh: Path | None, count: int, seed:
         return cases
     if data.exists() and any(data.iterdir()):
         raise seal.SealError(f"{data}: is not empty and belongs to other labels; name a new folder")
-    salt, secret = seal.new_secret()
-    seed = secret if seed is None else seed
+    seed = secrets.randbits(63) if seed is None else seed
     cases = draw(count, seed)
-    seal.write_labels(seal.Labels(salt, seed, {case.name: case.label for case in cases}), labels_file, data)
+    seal.write_labels(
+        seal.Labels(secrets.token_hex(32), seed, {case.name: case.label for case in cases}), labels_file, data
+    )
     return cases
 
 
@@ -77,8 +79,3 @@ def write_cases(cases: Sequence[Case], data: Path, fresh: Path | None, processes
             todo.append(case)
     for _, name in as_they_come(partial(write_case, data=data, fresh=fresh), todo, processes):
         on_case(name)
-
-
-def _fly(robot: RobotParameters, trial: PlannedTrial, folder: Path) -> None:
-    excitation = EXCITATIONS[trial.excitation]
-    record(excitation.at, folder, excitation.duration_s, robot, trial.seed, kind=trial.excitation, held=trial.held)

@@ -12,14 +12,15 @@ and faults are those of `softarm.reality.rigs`; `score.py` defines the outcomes.
 import argparse
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 from softarm.common.processes import as_they_come, bar
 from softarm.diagnosis.blind import pages, seal
-from softarm.diagnosis.blind.score import ScoredRig, rig_counts, score_rig
+from softarm.diagnosis.blind.score import rig_counts, score_rig
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.rigs.case import CATEGORIES, RigCase, case_of, draw
 from softarm.reality.rigs.presets import Kind
@@ -68,16 +69,11 @@ def answer(case: Path) -> dict[str, Any]:
     return {"verdict": verdict, "margins": margins, "failure": failure, "seconds": time.process_time() - began}
 
 
-def score(folder: Path) -> tuple[list[ScoredRig], list[str]]:
-    """Score every answered case of a folder; return the scores and the names of unanswered cases."""
-    scored, unanswered = [], []
+def answered(folder: Path) -> Iterator[tuple[Any, Any]]:
+    """Yield the truth and the answer of each case of a folder; the answer is None if there is none yet."""
     for file in sorted((folder / "truths").glob("*.json")):
-        answered = folder / "answers" / file.name
-        if answered.is_file():
-            scored.append(score_rig(_json(file), _json(answered)))
-        else:
-            unanswered.append(file.stem)
-    return scored, unanswered
+        reply = folder / "answers" / file.name
+        yield _json(file), _json(reply) if reply.is_file() else None
 
 
 def _kept(file: Path, tool: str, case: Path) -> bool:
@@ -116,15 +112,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _print(folder: Path) -> None:
-    scored, unanswered = score(folder)
+    cases = list(answered(folder))
+    scored = [score_rig(truth, reply) for truth, reply in cases if reply is not None]
     if not scored:
         raise TrialError(f"{folder}: contains no answers; use `run` first")
     found = rig_counts(scored)
-    each = [{name: getattr(s, name) for name in ScoredRig.__slots__} for s in scored]
-    text = json.dumps({"shares": found, "cases": each}, indent=1)
+    text = json.dumps({"shares": found, "cases": [asdict(each) for each in scored]}, indent=1)
     (folder / "score.json").write_text(text + "\n", encoding="utf-8")
     print(pages.rig_table(found), pages.rig_answers(scored), sep="\n\n")
-    if unanswered:
+    if unanswered := [truth["case"] for truth, reply in cases if reply is None]:
         print(f"\nnot answered: {', '.join(unanswered)}")
 
 

@@ -47,11 +47,6 @@ class Scored:
         return self.verdict is not None and self.verdict.where.stage in self.stages
 
     @property
-    def exact(self) -> bool:
-        """Whether the named effects are exactly the causes."""
-        return self.verdict is not None and sorted(self.names) == sorted(self.causes)
-
-    @property
     def exact_or_set(self) -> bool:
         """Whether there is one name for each cause, which is the cause or has it as its only equivalent."""
         if self.verdict is None or len(self.effects) != len(self.causes):
@@ -60,11 +55,6 @@ class Scored:
         return all(len(s) <= SET_MAX for s in sets) and any(
             all(cause in s for cause, s in zip(self.causes, order, strict=True)) for order in permutations(sets)
         )
-
-    @property
-    def first_right(self) -> bool:
-        """Whether the first named effect is a cause."""
-        return bool(self.names) and self.names[0] in self.causes
 
     @property
     def right(self) -> bool:
@@ -93,7 +83,7 @@ def share(hits: Iterable[bool]) -> dict[str, float | int | None]:
 
 ALONE, SEVERAL = ("single", "half"), ("two", "uneven", "three")
 _SAID: dict[str, Callable[[Scored], bool]] = {
-    "exact": lambda s: s.exact,
+    "exact": lambda s: sorted(s.names) == sorted(s.causes),
     "exact or in sets of two": lambda s: s.exact_or_set,
 }
 _TITLES = {
@@ -109,7 +99,7 @@ MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
     "right stage": ((*ALONE, *SEVERAL, "unknown"), lambda s: s.right_stage),
     "right stage, single": (("single",), lambda s: s.right_stage),
     **{f"{title}, {said}": ((kind,), hit) for kind, title in _TITLES.items() for said, hit in _SAID.items()},
-    "single, named first": (("single",), lambda s: s.first_right),
+    "single, named first": (("single",), lambda s: bool(s.names) and s.names[0] in s.causes),
     "two or three, at least one": (SEVERAL, lambda s: any(name in s.causes for name in s.names)),
     "known, a wrong name beside": (
         (*ALONE, *SEVERAL),

@@ -2,9 +2,8 @@
 
 import hashlib
 import json
-import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,6 @@ class Labels:
     salt: str  # 32 random bytes in hex, so that labels cannot be found by trying them all
     seed: int  # seed of the cases, from which every label can be drawn again
     cases: Mapping[str, Mapping[str, Any]]  # case -> Case.label
-
-
-def new_secret() -> tuple[str, int]:
-    """Return a random salt and seed."""
-    return secrets.token_hex(32), secrets.randbits(63)
 
 
 def canonical(data: object) -> str:
@@ -72,9 +66,7 @@ def write_labels(labels: Labels, file: Path, data: Path) -> None:
     keep_apart(file, data)
     data.mkdir(parents=True, exist_ok=True)
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(
-        json.dumps({"salt": labels.salt, "seed": labels.seed, "cases": labels.cases}, indent=1) + "\n", encoding="utf-8"
-    )
+    file.write_text(json.dumps(asdict(labels), indent=1) + "\n", encoding="utf-8")
     file.chmod(0o600)
     (data / COMMITMENT).write_text(json.dumps(commitment(labels), indent=1) + "\n", encoding="utf-8")
 

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
 
 import click
 import numpy as np
@@ -29,7 +28,7 @@ from softarm.diagnosis.blind.imperfections import (
     variants_of,
 )
 from softarm.diagnosis.data import folder
-from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.data.trials import Series, Trial
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import SETTLE_S, record
 from softarm.schemas.excitation import EXCITATIONS
@@ -54,8 +53,8 @@ def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
     mocap, rail, gauge, command = (trial.channels[n] for n in ("mocap", "rail", "pressure", "command"))
     grid = np.arange(SETTLE_S + 0.1, SETTLE_S + duration_s - 0.1, 1 / _GRID_HZ)
 
-    def on_grid(series: object, column: str) -> NDArray[np.float64]:
-        return np.interp(grid, series.t_s, series[column])  # type: ignore[attr-defined, index]
+    def on_grid(series: Series, column: str) -> NDArray[np.float64]:
+        return np.asarray(np.interp(grid, series.t_s, series[column]))
 
     poses = {name: on_grid(mocap, name) for name in mocap.columns if name != "t_receive"}
     angles = [poses[f"link{i}_angle"] for i in range(1, 6)]
@@ -136,19 +135,12 @@ def _ranges(variant: Variant) -> str:
     )
 
 
-class Strength(TypedDict):
-    """Strength of a cause's weakest form in its clearest signal; RMS values in the signal's unit."""
+def measure() -> list[dict[str, str | float | None]]:
+    """Fly every cause and variant in parallel and return a row for each.
 
-    cause: str
-    drawn: str
-    signal: str
-    changes: float
-    nuisances: float
-    ratio: float | None  # None if the nuisances do not change the signal
-
-
-def measure() -> list[Strength]:
-    """Fly every cause and variant in parallel and return a row for each."""
+    A row describes the weakest form in its clearest signal; RMS values are in the signal's unit. The ratio is None if
+    the nuisances do not change the signal.
+    """
     seeds = range(_SEED, _SEED + 1 + OTHERS)
     healthy = dict(as_they_come(_fly_other, [(stage, seed) for stage in _OWN for seed in seeds], cores()))
     same = {stage: healthy[stage, _SEED] for stage in _OWN}
@@ -165,10 +157,8 @@ def measure() -> list[Strength]:
         ratio = {s: by_cause[s] / usual[s] if usual[s] else (np.inf if by_cause[s] else 0.0) for s in by_cause}
         best = max(by_cause, key=lambda s: (ratio[s], by_cause[s]))
         shown = ratio[best] if np.isfinite(ratio[best]) else None
-        drawn = _ranges(variant)
-        rows.append(
-            Strength(cause=name, drawn=drawn, signal=best, changes=by_cause[best], nuisances=usual[best], ratio=shown)
-        )
+        about = {"cause": name, "drawn": _ranges(variant), "signal": best}
+        rows.append({**about, "changes": by_cause[best], "nuisances": usual[best], "ratio": shown})
     return rows
 
 
