@@ -10,30 +10,19 @@ Role = Literal["time", "command", "measured", ""]
 
 # Standard units that a column of a rig may have.
 STANDARDS = ("s", "m", "m/s", "rad", "rad/s", "kPa", "N", "N m", "A", "V", "counts", PURE)
+# Unit -> other spellings, in small letters.
 _SPELLINGS = {
-    "sec": "s",
-    "secs": "s",
-    "seconds": "s",
-    "sekunden": "s",
-    "msec": "ms",
-    "usec": "us",
-    "nsec": "ns",
-    "grad": "deg",
-    "degree": "deg",
-    "\N{DEGREE SIGN}": "deg",
-    "\N{DEGREE SIGN}/s": "deg/s",
-    "radian": "rad",
-    "radians": "rad",
-    "degs": "deg/s",
-    "dps": "deg/s",
-    "radps": "rad/s",
-    "mps": "m/s",
-    "u/min": "rpm",
-    "1/min": "rpm",
-    "ticks": "counts",
-    "cnt": "counts",
-    "raw": "counts",
-    "lsb": "counts",
+    "s": "sec secs seconds sekunden",
+    "ms": "msec",
+    "us": "usec",
+    "ns": "nsec",
+    "deg": "grad degree \N{DEGREE SIGN}",
+    "deg/s": "degs dps \N{DEGREE SIGN}/s",
+    "rad": "radian radians",
+    "rad/s": "radps",
+    "m/s": "mps",
+    "rpm": "u/min 1/min",
+    "counts": "ticks cnt raw lsb",
 }
 # Words of headers in English and German.
 _ROLES: dict[Role, str] = {
@@ -86,7 +75,7 @@ def read(text: str) -> Header:
 def unit_named(text: str) -> str | None:
     """Return a unit as a stage.yaml may have it, or None for a text that is no unit of a column."""
     plain = text.strip()
-    spelled = _SPELLINGS.get(plain.lower(), plain)
+    spelled = next((unit for unit, others in _SPELLINGS.items() if plain.lower() in others.split()), plain)
     known = {name.lower(): name for own in STANDARDS for name in (own, *UNITS.get(own, {}))}
     for each in (spelled, known.get(spelled.lower(), spelled)):
         try:

@@ -22,42 +22,19 @@ class Layout(NamedTuple):
     arrows: tuple[tuple[str, str], ...]
 
 
-_ARROWS = (
-    ("command", "pressure"),
-    ("command", "rail"),
-    ("pressure", "arm"),
-    ("rail", "arm"),
-    ("arm", "mocap"),
-    ("mocap", "observation"),
-)
-_WIDE = Layout(
-    960,
-    300,
-    {
-        "command": (4, 82),
-        "pressure": (132, 12),
-        "rail": (132, 152),
-        "arm": (348, 82),
-        "mocap": (564, 82),
-        "observation": (780, 82),
-        "clock": (564, 196),
-    },
-    _ARROWS,
-)
-_TALL = Layout(
-    372,
-    734,
-    {
-        "command": (144, 4),
-        "pressure": (4, 130),
-        "rail": (196, 130),
-        "arm": (100, 258),
-        "mocap": (100, 386),
-        "observation": (100, 514),
-        "clock": (4, 630),
-    },
-    _ARROWS,
-)
+# Stage -> top left corner in the wide and in the tall drawing, and the stages that it drives.
+_ROBOT: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[str, ...]]] = {
+    "command": ((4, 82), (144, 4), ("pressure", "rail")),
+    "pressure": ((132, 12), (4, 130), ("arm",)),
+    "rail": ((132, 152), (196, 130), ("arm",)),
+    "arm": ((348, 82), (100, 258), ("mocap",)),
+    "mocap": ((564, 82), (100, 386), ("observation",)),
+    "observation": ((780, 82), (100, 514), ()),
+    "clock": ((564, 196), (4, 630), ()),
+}
+_ARROWS = tuple((stage, driven) for stage, (*_, drives) in _ROBOT.items() for driven in drives)
+_WIDE = Layout(960, 300, {stage: wide for stage, (wide, *_) in _ROBOT.items()}, _ARROWS)
+_TALL = Layout(372, 734, {stage: tall for stage, (_, tall, _) in _ROBOT.items()}, _ARROWS)
 
 
 def chain(diagnosis: Diagnosis) -> Html:
