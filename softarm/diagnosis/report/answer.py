@@ -17,7 +17,6 @@ from softarm.diagnosis.report.words import (
     shrinks,
     sized,
     stages_of,
-    times,
 )
 from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import NamedEffect
@@ -47,7 +46,7 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the answer as one sentence that a technician understands."""
     verdict = diagnosis.verdict
     if verdict.verdict == "none":
-        return "No cause found" if _exceeds_a_floor(diagnosis) else "No gap"
+        return "No cause found" if max(_in_floors(diagnosis).values(), default=0.0) > 1 else "No gap"
     if verdict.verdict == "unknown" or not verdict.effects:
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
@@ -157,14 +156,10 @@ def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
     return cause, sure, f"The {model_word(diagnosis)} stays unchanged, and the gap remains.{hint}"
 
 
-def _exceeds_a_floor(diagnosis: Diagnosis) -> bool:
-    return any(ratio > 1 for ratio in _in_floors(diagnosis).values())
-
-
 def _in_floors(diagnosis: Diagnosis) -> dict[str, float]:
     """Return each stage's gap in multiples of its noise floor."""
-    gap = diagnosis.verdict.gap
-    return {stage: times(gap.before[stage], gap.floor[stage]) for stage in stages_of(diagnosis) if stage in gap.before}
+    before, floor = diagnosis.verdict.gap.before, diagnosis.verdict.gap.floor
+    return {stage: before[stage].value / floor[stage].value for stage in stages_of(diagnosis) if stage in before}
 
 
 def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:

@@ -16,7 +16,14 @@ _WINDOW_S = 2.0
 
 def traces(diagnosis: Diagnosis) -> list[plot.Traces]:
     """Return the measured and simulated curves of every stage, trial and channel, with the noise floor."""
-    return [_traces(overlay, diagnosis) for overlay in diagnosis.overlays]
+    found = []
+    for each in diagnosis.overlays:
+        curves = {"measured": each.measured, "nominal": each.nominal}
+        curves |= {"patched": each.patched} if each.patched is not None else {}
+        curves |= {"calibrated": each.calibrated} if each.calibrated is not None else {}
+        chosen, floor = (each.stage, each.trial, each.channel), _floor(diagnosis, each)
+        found.append(plot.Traces(chosen, each.kind, each.unit, each.t_s, curves, floor))
+    return found
 
 
 def packed(diagnosis: Diagnosis) -> dict[str, object]:
@@ -56,14 +63,6 @@ def window(overlay: Overlay) -> tuple[float, float] | None:
 def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
     """Return the stage's noise floor in the overlay's unit."""
     return diagnosis.verdict.gap.floor[overlay.stage].value
-
-
-def _traces(overlay: Overlay, diagnosis: Diagnosis) -> plot.Traces:
-    curves = {"measured": overlay.measured, "nominal": overlay.nominal}
-    curves |= {"patched": overlay.patched} if overlay.patched is not None else {}
-    curves |= {"calibrated": overlay.calibrated} if overlay.calibrated is not None else {}
-    chosen = (overlay.stage, overlay.trial, overlay.channel)
-    return plot.Traces(chosen, overlay.kind, overlay.unit, overlay.t_s, curves, _floor(diagnosis, overlay))
 
 
 def _mean(values: Array) -> float:

@@ -20,7 +20,6 @@ from softarm.diagnosis.report.words import (
     shrinks_by,
     sizes,
     stages_of,
-    times,
 )
 from softarm.reporting.markup import Html, el, join, prose, table
 from softarm.reporting.numbers import listed, number, percent, quantity
@@ -93,7 +92,7 @@ def _shrinks(diagnosis: Diagnosis, stage: str, effects: int) -> str:
 
 def _rest(after: Quantity, floor: Quantity) -> str:
     """Return the remaining gap in multiples of the noise floor."""
-    ratio = times(after, floor)
+    ratio = after.value / floor.value
     if ratio < _AT_FLOOR:
         return f". The rest is noise: {noise_level(floor)}"
     return f". The rest is {number(ratio, 2)} times the noise floor of {quantity(floor.value, floor.unit)}"
@@ -101,7 +100,7 @@ def _rest(after: Quantity, floor: Quantity) -> str:
 
 def _without_effect(diagnosis: Diagnosis, stage: str, before: Quantity, floor: Quantity) -> str:
     """Return the text of a stage that no named effect changes."""
-    size, ratio = f"{quantity(before.value, before.unit)} RMS", times(before, floor)
+    size, ratio = f"{quantity(before.value, before.unit)} RMS", before.value / floor.value
     if ratio <= 1:
         return f"no gap: {size}; {noise_level(floor)}."
     could = reduction(before, diagnosis.verdict.gap.ceiling.get(stage))
@@ -122,8 +121,10 @@ def effects(diagnosis: Diagnosis) -> Html:
     rows, last = [], ""
     for e in sorted(named, key=lambda e: order[e.name.rpartition(".")[0]]):
         stage = e.name.rpartition(".")[0]
-        row: list[Html | str] = ["" if stage == last else stage, _names(e), _sizes(e), _meanings(diagnosis, e)]
-        row.append(_share(e.shrink.stage))
+        members = (e.name, *e.equivalents)
+        codes = _alternatives([el("code", name.rpartition(".")[2]) for name in members])
+        meanings = _alternatives([prose(meaning(diagnosis, name) or "–") for name in members])
+        row = ["" if stage == last else stage, codes, _sizes(e), meanings, _share(e.shrink.stage)]
         row += [_share(e.shrink.chain)] if tip else []
         row.append(NOT_RATED if e.confidence is None else percent(e.confidence))
         rows.append(row)
@@ -149,14 +150,8 @@ def _share(of: Interval | None) -> Html:
     return el("span", "–" if of is None else percents(of), class_="size")
 
 
-def _names(effect: NamedEffect) -> Html:
-    first, *others = (name.rpartition(".")[2] for name in (effect.name, *effect.equivalents))
-    return join([el("code", first), *(el("span", "or ", el("code", name), class_="or") for name in others)])
-
-
-def _meanings(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
-    first, *others = (meaning(diagnosis, name) or "–" for name in (effect.name, *effect.equivalents))
-    return join([prose(first), *(el("span", "or ", prose(text), class_="or") for text in others)])
+def _alternatives(members: Sequence[Html]) -> Html:
+    return join([members[0], *(el("span", "or ", each, class_="or") for each in members[1:])])
 
 
 def _sizes(effect: NamedEffect) -> Html:

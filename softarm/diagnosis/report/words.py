@@ -181,11 +181,6 @@ def sized(effect: NamedEffect) -> str:
     return f"{effect.name} ({of})" if of else effect.name
 
 
-def times(gap: Quantity, floor: Quantity) -> float:
-    """Return a gap in multiples of its noise floor."""
-    return gap.value / floor.value
-
-
 def reduction(before: Quantity | None, after: Quantity | None) -> float | None:
     """Return the share by which a root mean square shrank, or None if either value is unknown."""
     if before is None or after is None or before.value <= 0:
@@ -217,7 +212,7 @@ def noise_level(floor: Quantity) -> str:
 
 def shrinks_by(diagnosis: Diagnosis, place: str) -> str:
     """Return the shrink of a stage's gap, such as `74 % less, 95 % interval 70 to 78`, or an empty string."""
-    gap, of = diagnosis.verdict.gap, shrink(diagnosis, place)
+    gap, of = diagnosis.verdict.gap, _shrink(diagnosis, place)
     share = reduction(gap.before.get(place), gap.after.get(place))
     if share is None or not diagnosis.verdict.effects:
         return ""
@@ -230,7 +225,7 @@ def shrinks_by(diagnosis: Diagnosis, place: str) -> str:
     return f"{text}, 95 % interval {100 * low:.{digits}f} to {100 * high:.{digits}f}"
 
 
-def shrink(diagnosis: Diagnosis, place: str) -> Interval | None:
+def _shrink(diagnosis: Diagnosis, place: str) -> Interval | None:
     """Return the share of a stage's gap that all named effects remove on held-out data."""
     if place in diagnosis.total_shrink:
         return diagnosis.total_shrink[place]
