@@ -4,17 +4,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from softarm.common.processes import cores
-from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.folder import is_trial
 from softarm.diagnosis.data.read import read_all
-from softarm.diagnosis.data.trials import Trial, TrialError, unique_names
+from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.diagnose import BUDGET_S, diagnose
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 
-TABLES = (".yaml", ".yml")  # suffixes of a stage.yaml
 _READING = 0.05  # share of the whole work
 
 
@@ -44,7 +42,7 @@ def diagnose_files(
     def reading(source: Path) -> None:
         progress(f"reading {source.name}", 0.0)
 
-    trials = _read(inputs, data, reading)
+    trials = read_all(inputs, reading, data)
     nominal = None
     if any(trial.stage is None for trial in trials):  # tables of a rig bring their own
         nominal = model_file.load(model) if model is not None else _of_the_campaign(inputs)
@@ -56,14 +54,6 @@ def diagnose_files(
         progress(what, _READING + share * (1 - _READING))
 
     return diagnose(trials, nominal, later, cores(), budget_s)
-
-
-def _read(inputs: Sequence[Path], data: Path | None, on_trial: Callable[[Path], None]) -> tuple[Trial, ...]:
-    if data is None:
-        return read_all(inputs, on_trial)
-    rest = read_all([path for path in inputs if path.suffix not in TABLES], on_trial)
-    own = (trial for path in inputs if path.suffix in TABLES for trial in tables.read(path, data))
-    return unique_names((*rest, *own))
 
 
 def _of_the_campaign(inputs: Sequence[Path]) -> Model | None:

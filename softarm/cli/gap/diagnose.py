@@ -65,8 +65,9 @@ def diagnose(
     """
     from softarm.common import files
     from softarm.diagnosis import report
+    from softarm.diagnosis.data.read import TABLES
     from softarm.diagnosis.data.trials import TrialError
-    from softarm.diagnosis.from_files import TABLES, diagnose_files
+    from softarm.diagnosis.from_files import diagnose_files
     from softarm.diagnosis.rigs import patch
     from softarm.simulator import model_file as models
 

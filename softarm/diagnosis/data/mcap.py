@@ -1,7 +1,6 @@
 """Reading of the daemon's own log as a trial."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -46,36 +45,12 @@ def read(path: Path) -> Trial:
     Stamps are seconds since the first message, `kind` is the name of the policy that moved the arm, and the command
     starts with the first tick that enabled the drive. Raises TrialError if the file is not a log of the daemon.
     """
-    rows: Rows = {name: [] for name in ROBOT_CHANNELS}
-    policies: set[str] = set()
-    origin_ns: int | None = None
-    enabled = False
+    readings = _Readings()
     messages = 0
     try:
         for topic, data in mcap_file.messages(path):
             messages += 1
-            record: Any
-            if topic == log.MOCAP:
-                record = channels.MOCAP.decode(data)
-                stamp = record.t_capture_ns
-                if stamp - record.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
-                    continue  # stamped by another clock: the control loop rejected this frame
-            elif topic == log.PRESSURE:
-                record = channels.PRESSURE.decode(data)
-                stamp = record.t_receive_ns
-            elif topic == log.RAIL:
-                record = channels.RAIL.decode(data)
-                stamp = record.t_receive_ns
-            elif topic == log.TICK:
-                record = _Tick.model_validate_json(data).outputs
-                stamp = record.t_ns
-                enabled = enabled or record.sent.enable
-                if record.goal.state == "running" and record.policy:
-                    policies.add(record.policy)
-            else:
-                continue
-            origin_ns = stamp if origin_ns is None else origin_ns
-            _add(rows, topic, record, origin_ns, enabled)
+            readings.add(topic, data)
     except mcap_file.LogError as error:
         raise TrialError(str(error)) from None
     except ValidationError as error:
@@ -84,31 +59,54 @@ def read(path: Path) -> Trial:
             f"{path}: message {messages} on {topic}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}; "
             "check whether another version recorded it, or it was edited"
         ) from None
-    return _trial(path, rows, policies)
+    return _trial(path, readings.rows, readings.policies)
 
 
-def _add(rows: Rows, topic: str, record: Any, origin_ns: int, enabled: bool) -> None:
-    """Append a message's values to their channel."""
+class _Readings:
+    """Rows of each channel, with stamps in seconds since the first message."""
 
-    def seconds(stamp_ns: int) -> float:
-        return (stamp_ns - origin_ns) * 1e-9
+    def __init__(self) -> None:
+        self.rows: Rows = {name: [] for name in ROBOT_CHANNELS}
+        self.policies: set[str] = set()
+        self._origin_ns: int | None = None
+        self._enabled = False
 
-    if topic == log.MOCAP:
-        poses = [
-            value
-            for body in record.bodies
-            for value in ((body.y_m, body.z_m, body.angle_rad) if body.tracked else (np.nan,) * 3)
-        ]
-        rows["mocap"].append((seconds(record.t_capture_ns), seconds(record.t_receive_ns), *poses))
-    elif topic == log.PRESSURE:
-        rows["pressure"].append((seconds(record.t_receive_ns), record.pressure_kpa))
-    elif topic == log.RAIL:
-        rows["rail"].append((seconds(record.t_receive_ns), record.position_m, record.velocity_m_s))
-    elif enabled:
-        now = seconds(record.t_ns)
-        rows["command"].append((now, record.sent.cart_velocity_m_s, record.sent.pressure_kpa))
-        if record.observed is not None:
-            rows["observation"].append((now, *record.observed.values))
+    def add(self, topic: str, data: bytes) -> None:
+        """Append a message's values to their channel."""
+        if topic == log.MOCAP:
+            frame = channels.MOCAP.decode(data)
+            if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
+                return  # stamped by another clock: the control loop rejected this frame
+            poses = [
+                value
+                for body in frame.bodies
+                for value in ((body.y_m, body.z_m, body.angle_rad) if body.tracked else (np.nan,) * 3)
+            ]
+            captured = self._seconds(frame.t_capture_ns)
+            self.rows["mocap"].append((captured, self._seconds(frame.t_receive_ns), *poses))
+        elif topic == log.PRESSURE:
+            gauge = channels.PRESSURE.decode(data)
+            self.rows["pressure"].append((self._seconds(gauge.t_receive_ns), gauge.pressure_kpa))
+        elif topic == log.RAIL:
+            rail = channels.RAIL.decode(data)
+            self.rows["rail"].append((self._seconds(rail.t_receive_ns), rail.position_m, rail.velocity_m_s))
+        elif topic == log.TICK:
+            self._add_tick(_Tick.model_validate_json(data).outputs)
+
+    def _add_tick(self, tick: _Outputs) -> None:
+        now, sent = self._seconds(tick.t_ns), tick.sent
+        self._enabled = self._enabled or sent.enable
+        if tick.goal.state == "running" and tick.policy:
+            self.policies.add(tick.policy)
+        if self._enabled:
+            self.rows["command"].append((now, sent.cart_velocity_m_s, sent.pressure_kpa))
+            if tick.observed is not None:
+                self.rows["observation"].append((now, *tick.observed.values))
+
+    def _seconds(self, stamp_ns: int) -> float:
+        if self._origin_ns is None:
+            self._origin_ns = stamp_ns
+        return (stamp_ns - self._origin_ns) * 1e-9
 
 
 def _trial(path: Path, rows: Rows, policies: set[str]) -> Trial:

@@ -11,22 +11,26 @@ from softarm.recordings import rail_motion
 from softarm.recordings.mcap_file import LogError
 from softarm.recordings.rail_motion import RailMotion
 
+TABLES = (".yaml", ".yml")  # suffixes of a stage.yaml
 
-def read_all(paths: Iterable[Path], on_trial: Callable[[Path], None] | None = None) -> tuple[Trial, ...]:
+
+def read_all(
+    paths: Iterable[Path], on_trial: Callable[[Path], None] = lambda source: None, data: Path | None = None
+) -> tuple[Trial, ...]:
     """Read every trial of the inputs, sorted by name.
 
-    An input is an MCAP log, a trial folder, a campaign (a folder of trial folders and logs) or a stage.yaml. Raises
-    TrialError if a path is none of these, or its data are invalid.
+    An input is an MCAP log, a trial folder, a campaign (a folder of trial folders and logs) or a stage.yaml, whose
+    files are in `data`, by default in its own folder. Raises TrialError if a path is none of these, or its data are
+    invalid.
     """
     trials: list[Trial] = []
     for path in paths:
         for source in sources(path):
-            if source.suffix in (".yaml", ".yml"):
-                trials += tables.read(source)
+            if source.suffix in TABLES:
+                trials += tables.read(source, data)
             else:
                 trials.append(folder.read(source) if source.is_dir() else mcap.read(source))
-            if on_trial is not None:
-                on_trial(source)
+            on_trial(source)
     return unique_names(trials)
 
 
@@ -58,7 +62,7 @@ def _rail_of(trial: Trial) -> Iterator[RailMotion]:
 
 def sources(path: Path) -> tuple[Path, ...]:
     """Return the trials and stage.yaml files of a path; raise TrialError if it contains none."""
-    if path.is_file() and path.suffix in (".mcap", ".yaml", ".yml"):
+    if path.is_file() and path.suffix in (".mcap", *TABLES):
         return (path,)
     if not path.exists():
         raise TrialError(f"{path}: does not exist; name an MCAP log, a trial folder, a campaign or a stage.yaml")
