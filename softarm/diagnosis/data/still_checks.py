@@ -1,8 +1,8 @@
 """Checks for columns of a rig that never change: dead sensors, trials without motion, commands that are too small."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,11 +19,12 @@ SMALL = 0.5
 JITTER = 0.05
 
 
+@dataclass(frozen=True, slots=True)
 class Columns:
     """Names of files and columns of a trial, for messages."""
 
-    def __init__(self, about: Mechanism, files: Mapping[str, Path]) -> None:
-        self.about, self.files = about, files
+    about: Mechanism
+    files: Mapping[str, Path]
 
     def __call__(self, channel: str, column: str | None = None) -> str:
         """Return the file and column of a channel's column, or of its stamps if `column` is None."""
@@ -42,51 +43,49 @@ class Columns:
         return known.time if column is None else known.columns[column]
 
 
-class Stillness(NamedTuple):
-    """Finding about a channel that does not move in one trial."""
+def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[str]]:
+    """Return the trials of one stage in which something moves, with their warnings, and the mistakes.
 
-    trial: int
-    kind: Literal["mistake", "left out", "warning"]
-    text: str
-
-
-def stillness(trials: Sequence[Trial], places: Sequence[Columns]) -> Iterator[Stillness]:
-    """Yield findings about all trials of one stage; a trial without motion means little without the others."""
-    moved = [{name: _spread(t.channels["measured"][name]) for name in compared_columns(t)} for t in trials]
-    driven = [_driven(t) for t in trials]
+    The trials are compared, because one without motion means little on its own.
+    """
+    moved = [{name: _spread(t.channels["measured"][name]) for name in compared_columns(t)} for t, _ in checked]
+    driven = [_driven(t) for t, _ in checked]
     largest = {name: max(each.get(name, 0.0) for each in moved) for each in moved for name in each}
-    for k, (trial, at) in enumerate(zip(trials, places, strict=True)):
-        drive = driven[k]
-        if drive is not None and not drive[1] and not any(moved[k].values()):
-            name = next(iter(moved[k]))
+    kept: list[Trial] = []
+    mistakes: list[str] = []
+    left_out: list[str] = []
+    for (trial, at), spreads, drive in zip(checked, moved, driven, strict=True):
+        measured, warnings = trial.channels["measured"], list(trial.warnings)
+        if drive is not None and not drive[1] and not any(spreads.values()):
+            name = next(iter(spreads))
             text = f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive[0]}"
             if any(largest.values()):
-                yield Stillness(k, "left out", f"{text}; it is left out")
+                left_out.append(f"{text}; it is left out")
             else:
-                yield Stillness(k, "mistake", f"{text}; leave the trial out")
+                mistakes.append(f"{text}; leave the trial out")
             continue
-        for name in (name for name, spread in moved[k].items() if not spread):
+        for name in (name for name, spread in spreads.items() if not spread):
             pushes = [d[1] for each, d in zip(moved, driven, strict=True) if d is not None and each.get(name)]
-            small = drive is not None and pushes and drive[1] < SMALL * max(pushes)
-            value = f"{name} is {at.reading('measured', name, trial.channels['measured'][name][0])} in every row"
-            if small and drive is not None:
+            value = f"{name} is {at.reading('measured', name, measured[name][0])} in every row"
+            if drive is not None and pushes and drive[1] < SMALL * max(pushes):
                 text = f"{value}, under a small {drive[0]}; correct it if the sensor was off"
-                yield Stillness(k, "warning", f"{at('measured', name)}: {text}")
+                warnings.append(f"{at('measured', name)}: {text}")
             else:
                 text = f"{value}; a dead sensor or the wrong column: name another, or leave this trial out"
-                yield Stillness(k, "mistake", f"{at('measured', name)}: {text}")
-        if drive is not None and not drive[1] and any(s > JITTER * largest[n] for n, s in moved[k].items()):
+                mistakes.append(f"{at('measured', name)}: {text}")
+        if drive is not None and not drive[1] and any(s > JITTER * largest[n] for n, s in spreads.items()):
             column = next(iter(trial.channels[drive[0]].columns))
             value = at.reading(drive[0], column, trial.channels[drive[0]][column][0])
             text = f"the {drive[0]} is {value} in every row, but the measured values change"
-            yield Stillness(
-                k, "warning", f"{at(drive[0], column)}: {text}; correct the column, or leave this trial out"
-            )
-        for name, values in trial.channels["measured"].columns.items():
-            if name not in moved[k] and not _spread(values):
+            warnings.append(f"{at(drive[0], column)}: {text}; correct the column, or leave this trial out")
+        for name, values in measured.columns.items():
+            if name not in spreads and not _spread(values):
                 value = at.reading("measured", name, values[0])
-                text = f"{at('measured', name)}: {name} is {value} in every row; leave the column out"
-                yield Stillness(k, "warning", text)
+                warnings.append(f"{at('measured', name)}: {name} is {value} in every row; leave the column out")
+        kept.append(replace(trial, warnings=tuple(warnings)))
+    if kept and left_out:
+        kept[0] = replace(kept[0], warnings=(*kept[0].warnings, *left_out))
+    return kept, mistakes
 
 
 def compared_columns(trial: Trial) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Reading of a rig's tables as trials, as its stage.yaml describes them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     """
     base = path.parent if data is None else data
     loaded: dict[Path, Table] = {}  # a file that serves many trials is read once
-    checked: list[tuple[Trial, Columns]] = []
+    checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
     wrong: dict[str, None] = {}
     for stage in load(path):
         for recording in recordings(path, base, stage):
@@ -50,38 +50,19 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
                 mistakes, odd = table_checks.judge(trial, at)
                 wrong |= dict.fromkeys(mistakes)
                 if not mistakes:
-                    checked.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
-    trials, dead = _without_still(checked)
-    wrong |= dict.fromkeys(dead)
+                    own = checked.setdefault(stage_of([trial]).name, [])
+                    own.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
+    trials: list[Trial] = []
+    for own in checked.values():
+        kept, mistakes = still_checks.moving(own)
+        trials += kept
+        wrong |= dict.fromkeys(mistakes)
     if wrong:
         shown = [*wrong][:MISTAKES_SHOWN]
         if more := len(wrong) - len(shown):
             shown.append(f"{path}: and {more} more; correct these first")
         raise TrialError("\n".join(shown))
-    return trials
-
-
-def _without_still(checked: Sequence[tuple[Trial, Columns]]) -> tuple[tuple[Trial, ...], list[str]]:
-    """Trials in which something moves, with their warnings; and the mistakes."""
-    kept: list[Trial] = []
-    wrong: list[str] = []
-    stages: dict[str, list[tuple[Trial, Columns]]] = {}
-    for trial, at in checked:
-        stages.setdefault(stage_of([trial]).name, []).append((trial, at))
-    for mine in stages.values():
-        trials = [trial for trial, _ in mine]
-        found = list(still_checks.stillness(trials, [at for _, at in mine]))
-        wrong += [each.text for each in found if each.kind == "mistake"]
-        gone = {each.trial: each.text for each in found if each.kind == "left out"}
-        odd = {
-            k: tuple(each.text for each in found if each.kind == "warning" and each.trial == k)
-            for k in range(len(mine))
-        }
-        left = [replace(t, warnings=(*t.warnings, *odd[k])) for k, t in enumerate(trials) if k not in gone]
-        if left and gone:
-            left[0] = replace(left[0], warnings=(*left[0].warnings, *gone.values()))
-        kept += left
-    return tuple(kept), wrong
+    return tuple(trials)
 
 
 def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, Table]) -> Trial:
