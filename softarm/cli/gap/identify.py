@@ -12,6 +12,7 @@ from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, json_option, model_option
 from softarm.cli.shared.printing import print_table, print_text, warn
 from softarm.common.processes import bar
+from softarm.common.quantity import KPA_PER_PSI
 
 if TYPE_CHECKING:
     from softarm.diagnosis.identify.identify import Identification, IdentifiedParameter
@@ -88,10 +89,8 @@ def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
 
 def _show(result: "Identification") -> None:
     """Print the parameters with their intervals, the errors of the fit and every warning."""
-    from softarm.diagnosis.identify.identify import gain_nm_psi
-
     rows = [
-        (str(number), _cell(k), _cell(d), _cell(b, 6), f"{gain_nm_psi(b['value']):.4f}", _cell(o))
+        (str(number), _cell(k), _cell(d), _cell(b, 6), f"{b['value'] * KPA_PER_PSI:.4f}", _cell(o))
         for number, (k, d, b, o) in enumerate(result.joints, 1)
     ]
     print_table(("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)"), rows)

@@ -130,7 +130,7 @@ class _Draft:
     def _answered(self, signal: Signal) -> str | None:
         """Return the unit that the user has given for a signal: by its name, else by a pattern."""
         given = self.answers.units
-        own = [given[name] for name in (signal.label, str(signal.source), signal.header.name) if name in given]
+        own = [given[name] for name in signal.names if name in given]
         fitting = [unit for name, unit in given.items() if "*" in name and fnmatchcase(signal.label, name)]
         own += [unit for unit in fitting if signal.header.role != "time" or factor(unit)[1] == "s"]
         return own[0] if own else None
@@ -140,7 +140,7 @@ class _Draft:
         if self.answers.rate_hz is not None:
             return {k: [] for k in groups}
         if self.answers.time:
-            named = [s for s in self.survey.signals if self.answers.time in (s.label, str(s.source))]
+            named = [s for s in self.survey.signals if self.answers.time in s.names[:2]]
             named = named or [self._named(self.answers.time, "--time")]
             return {k: [s for s in named if s.group == k] or clocks.candidates(self.survey, k) for k in groups}
         found = {k: clocks.candidates(self.survey, k) for k in groups}
@@ -183,13 +183,9 @@ class _Draft:
     def _named(self, text: str, option: str) -> Signal:
         """Return the signal that the user means."""
         every = self.survey.signals
-        for known in (
-            [s for s in every if s.label == text],
-            [s for s in every if str(s.source) == text],
-            [s for s in every if s.header.name == text],
-        ):
-            if len(known) == 1:
-                return known[0]
+        for names in zip(*(s.names for s in every), strict=True):  # labels, sources, names without units
+            if names.count(text) == 1:
+                return every[names.index(text)]
         labels = [s.label for s in every]
         near = did_you_mean(text, labels)
         raise TrialError(f"{option} {text}: no such column, or several; {near}allowed {', '.join(labels)}; name one")
@@ -403,7 +399,7 @@ class _Draft:
 
 def _check_units(survey: Survey, given: Mapping[str, str]) -> None:
     """Raise TrialError for an unknown unit, or a column that is not there."""
-    known = {name: None for s in survey.signals for name in (s.label, str(s.source), s.header.name)}
+    known = {name for s in survey.signals for name in s.names}
     for name, unit in given.items():
         try:
             factor(unit)

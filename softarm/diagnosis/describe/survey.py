@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,11 @@ class Signal:
     marks: tuple[str | float, ...] = ()  # cells that mean "not measured"
     elements: int = 0  # of the lists in its cells
     dates: bool = False
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """Return the texts by which a user may name the column."""
+        return self.label, str(self.source), self.header.name
 
     @property
     def all(self) -> Array:
@@ -232,8 +237,7 @@ def _rows(source: str, values: Any) -> dict[Key, Any]:
 
 
 def _numbers_only(file: _File) -> _File:
-    return _File(file.path, {k: raw for k, raw in file.columns.items() if _is_numeric(raw, file.comma)}, file.segment,
-                 file.comma)  # fmt: skip
+    return replace(file, columns={key: raw for key, raw in file.columns.items() if _is_numeric(raw, file.comma)})
 
 
 def _is_numeric(raw: Any, comma: bool) -> bool:
@@ -258,7 +262,7 @@ def _groups(files: Sequence[_File]) -> list[list[_File]]:
         if len(common) < 2:
             named = "; ".join(f"{g[0].path}: {', '.join(str(key[0]) for key in g[0].columns)}" for g in groups)
             raise TrialError(f"files with different columns do not pair up: {named}; name the files of one form")
-        return [[_File(f.path, {key: f.columns[key] for key in common}, f.segment, f.comma) for f in files]]
+        return [[replace(file, columns={key: file.columns[key] for key in common}) for file in files]]
     return groups
 
 

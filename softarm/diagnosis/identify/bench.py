@@ -67,10 +67,7 @@ class Bench:
         for (before, (cart, speed, pressure)), length in zip(pairwise(carts), lengths, strict=True):
             simulator.step_arm(cart, speed, pressure, length, start=before)
             seen.append(simulator.link_angles_rad)
-        return self._signals(np.stack(seen, axis=1))
-
-    def _signals(self, angles: Array) -> Array:
-        """Return `Motion.signals` [R, N, 3 n] of absolute link angles [R, N, n]."""
+        angles = np.stack(seen, axis=1)
         y = np.cumsum(self._lengths * np.sin(angles), axis=2)
         z = -np.cumsum(self._lengths * np.cos(angles), axis=2)
         return np.concatenate((y, z, angles), axis=2)

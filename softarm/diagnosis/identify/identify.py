@@ -1,14 +1,13 @@
 """System identification of the arm: regression of the paper, refinement by simulation, check on held-out trials."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from softarm.common.quantity import KPA_PER_PSI
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.identify import bench, motion, refinement, regression
 from softarm.diagnosis.identify.motion import Derivatives, Motion
@@ -65,7 +64,7 @@ class Identification:
     torque_rmse_nm: float  # of the final parameters
     refinement: Refinement
     checks: tuple[Check, ...] = ()
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     @property
     def estimates(self) -> list[IdentifiedParameter]:
@@ -207,8 +206,3 @@ def _doubts(model: Model, fitted: Refinement, rmse_nm: float, checks: Sequence[C
                 "the model lacks an effect (`softarm diagnose`)"
             )
     return doubts
-
-
-def gain_nm_psi(gain_nm_kpa: float) -> float:
-    """Return a muscle gain in the paper's unit, N m/psi."""
-    return gain_nm_kpa * KPA_PER_PSI

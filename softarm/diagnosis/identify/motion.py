@@ -153,29 +153,18 @@ def derivatives(motion: Motion) -> Derivatives:
     edge = max(2, round(0.3 / h))  # the filter is inaccurate at the ends
     keep = np.interp(t, motion.t_s, motion.compared.astype(float)) == 1.0
     keep[:edge] = keep[-edge:] = False
-    return Derivatives(
-        t[keep],
-        angles[keep],
-        first_difference(angles, h)[keep],
-        second_difference(angles, h)[keep],
-        second_difference(cart, h)[keep],
-        pressure[keep],
-    )
+    rates, accelerations = differences(angles, h)
+    _, cart_acceleration = differences(cart, h)
+    return Derivatives(t[keep], angles[keep], rates[keep], accelerations[keep], cart_acceleration[keep], pressure[keep])
 
 
-def first_difference(values: Array, step_s: float) -> Array:
-    """Return the first derivative along axis 0, fourth order; the two rows at each end are zero."""
-    result = np.zeros_like(values)
-    result[2:-2] = (values[:-4] - 8 * values[1:-3] + 8 * values[3:-1] - values[4:]) / (12 * step_s)
-    return result
-
-
-def second_difference(values: Array, step_s: float) -> Array:
-    """Return the second derivative along axis 0, fourth order; the two rows at each end are zero."""
-    result = np.zeros_like(values)
-    inner = -values[:-4] + 16 * values[1:-3] - 30 * values[2:-2] + 16 * values[3:-1] - values[4:]
-    result[2:-2] = inner / (12 * step_s**2)
-    return result
+def differences(values: Array, step_s: float) -> tuple[Array, Array]:
+    """Return the first and second derivative along axis 0, fourth order; the two rows at each end are zero."""
+    first, second = np.zeros_like(values), np.zeros_like(values)
+    a, b, c, d, e = (values[k : len(values) - 4 + k] for k in range(5))
+    first[2:-2] = (a - 8 * b + 8 * d - e) / (12 * step_s)
+    second[2:-2] = (-a + 16 * b - 30 * c + 16 * d - e) / (12 * step_s**2)
+    return first, second
 
 
 def _grid(t: Array) -> Array:
