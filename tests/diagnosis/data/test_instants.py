@@ -9,19 +9,11 @@ from pyarrow import parquet
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
+from tests.diagnosis.data import servo
+from tests.diagnosis.data.servo import COMMAND, MEASURED, T, changed
 
-T = np.arange(200) * 0.02
-COMMAND, MEASURED = 0.5 * np.sin(3 * T), 0.5 * np.sin(3 * (T - 0.1))
 NOON = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
-STAGE = """
-name: servo
-kind: tracking
-channels:
-  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}
-  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}
-trials:
-  - {name: one, kind: sine, files: {command: sent.csv, measured: seen.csv}}
-"""
+STAGE = changed(servo.STAGE, ("files: data.csv", "files: {command: sent.csv, measured: seen.csv}"))
 
 
 def stamps(form, zone=UTC):
@@ -71,9 +63,7 @@ def test_stamps_in_two_time_zones_agree(tmp_path):
 
 
 def test_dates_may_have_decimal_commas_and_no_header(tmp_path):
-    stage = (
-        STAGE.replace("source: t,", "source: 1,").replace("source: u,", "source: 2,").replace("source: y", "source: 2")
-    )
+    stage = changed(STAGE, ("source: t,", "source: 1,"), ("source: u,", "source: 2,"), ("source: y", "source: 2"))
     trial = read(tmp_path, *[[t.replace(".", ",") for t in stamps(plain)]] * 2, stage=stage, delimiter=";", head=False)
     np.testing.assert_allclose(trial.channels["measured"].t_s - NOON.timestamp(), T, atol=2e-6)
 
@@ -95,16 +85,8 @@ def mixed():
     ("sent", "seen", "says"),
     [
         (stamps(zulu), mixed(), r"seen\.csv: column t: row 2 has a time zone \(2026.*Z\), row 102 has none \("),
-        (
-            stamps(zulu),
-            stamps(plain),
-            r"sent\.csv: column t has time zones, .*seen\.csv: column t has none; write both",
-        ),
-        (
-            [*stamps(zulu)[:9], "later", *stamps(zulu)[10:]],
-            stamps(zulu),
-            r"sent\.csv: column t, row 11: 'later' is not",
-        ),
+        (stamps(zulu), stamps(plain), r"sent\.csv: column t has time zones, .*seen\.csv: column t has none; write"),
+        ([*stamps(zulu)[:9], "later", *stamps(zulu)[10:]], stamps(zulu), r"column t, row 11: 'later' is not"),
         (stamps(zulu), [f"{t:.3f}" for t in T], r"they do not overlap"),
     ],
     ids=["in a file", "between files", "no date", "dates and seconds"],
