@@ -10,21 +10,14 @@ from scipy.io import savemat
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
+from tests.diagnosis.data import servo
+from tests.diagnosis.data.servo import changed
 
 STAGES = Path(tables.__file__).parents[1] / "rigs" / "stages"
 T = np.arange(50) * 0.02
 COMMAND, MEASURED = np.sin(T), np.degrees(np.sin(T - 0.1))
-
-STAGE = """
-name: servo
-kind: tracking
-channels:
-  command: {time: {source: t, unit: ms}, columns: {command: {source: u, unit: rad}}}
-  measured: {time: {source: t, unit: ms}, columns: {position: {source: y, unit: deg, add: 1.0}}}
-model: {lag_s: 0.05}
-trials:
-  - {name: one, kind: sine, files: {command: FILE, measured: FILE}}
-"""
+STAGE = changed(servo.STAGE, ("t, unit: s", "t, unit: ms"), ("y, unit: rad", "y, unit: deg, add: 1.0"))
+STAGE = changed(STAGE, ("trials:", "model: {lag_s: 0.05}\ntrials:"), ("files: data.csv", "files: FILE"))
 
 
 def put(folder, suffix):
@@ -100,18 +93,6 @@ def test_the_public_data_sets_are_read_without_a_warning(data):
     assert 0.9 < lag < 1.0
 
 
-TWO_UNITS = """
-name: chamber
-kind: tracking
-channels:
-  command: {time: {source: t, unit: ms}, columns: {command: {source: u, unit: mV}}}
-  measured: {time: {source: t, unit: ms}, columns: {pressure: {source: y, unit: bar}}}
-model: {MODEL}
-trials:
-  - {name: one, kind: sine, files: {command: data.csv, measured: data.csv}}
-"""
-
-
 @pytest.mark.parametrize(
     ("model", "inside"),
     [
@@ -121,7 +102,8 @@ trials:
 )
 def test_model_parameters_are_converted_to_standard_units(tmp_path, model, inside):
     stage = put(tmp_path, ".csv")
-    stage.write_text(TWO_UNITS.replace("MODEL", model))
+    text = changed(STAGE, ("u, unit: rad", "u, unit: mV"), ("lag_s: 0.05", model), ("FILE", "data.csv"))
+    stage.write_text(changed(text, ("position: {source: y, unit: deg, add: 1.0}", "pressure: {source: y, unit: bar}")))
     (trial,) = tables.read(stage)
     assert trial.stage.model.keys() == inside.keys()
     for key, value in inside.items():
@@ -130,12 +112,7 @@ def test_model_parameters_are_converted_to_standard_units(tmp_path, model, insid
     assert (trial.stage.unit("command", "command"), trial.stage.unit("measured", "velocity")) == ("V", "")
 
 
-def test_relative_angles_of_a_chain_are_absolute_in_memory(tmp_path):
-    columns = {"t": T, "a": np.sin(T), "b": np.cos(T), "w": T, "m": 0.3 * T}
-    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
-    (tmp_path / "data.csv").write_text("t,a,b,w,m\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
-    (tmp_path / "stage.yaml").write_text(
-        """
+CHAIN = """
 name: arm
 kind: chain
 links: 2
@@ -146,12 +123,15 @@ channels:
     columns: {angle1: {source: a, unit: rad}, angle2: {source: b, unit: deg}, rate1: {source: w, unit: rad/s}}
   torque: {time: {source: t, unit: s}, columns: {torque2: {source: m, unit: mN m}}}
 model: {mass_kg: [1, 1], centre_m: [0.1, 0.1], inertia_kg_m2: [0, 0], length_m: [0.2]}
-trials: [{name: one, kind: sine, files: {measured: data.csv, torque: data.csv}}]
+trials: [{name: one, kind: sine, files: data.csv}]
 """
-    )
-    (trial,) = tables.read(tmp_path / "stage.yaml")
+
+
+def test_relative_angles_of_a_chain_are_absolute_in_memory(tmp_path):
+    text = servo.table("t,a,b,w,m", T, np.sin(T), np.cos(T), T, 0.3 * T)
+    (trial,) = servo.read(tmp_path, text, stage=CHAIN)
     measured = trial.channels["measured"]
-    np.testing.assert_allclose(measured["angle2"], np.sin(T) + np.radians(np.cos(T)), rtol=1e-12)
-    np.testing.assert_allclose(measured["angle1"], np.sin(T), rtol=1e-12)
-    np.testing.assert_allclose(measured["rate1"], T, rtol=1e-12)
-    np.testing.assert_allclose(trial.channels["torque"]["torque2"], 0.3e-3 * T, rtol=1e-12)
+    np.testing.assert_allclose(measured["angle2"], np.sin(T) + np.radians(np.cos(T)), atol=1e-8)
+    np.testing.assert_allclose(measured["angle1"], np.sin(T), atol=1e-8)
+    np.testing.assert_allclose(measured["rate1"], T, atol=1e-8)
+    np.testing.assert_allclose(trial.channels["torque"]["torque2"], 0.3e-3 * T, atol=1e-8)

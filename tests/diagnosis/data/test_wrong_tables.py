@@ -10,6 +10,7 @@ from pyarrow import parquet
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
+from tests.diagnosis.data.servo import changed, read, table
 
 T = np.arange(400) * 0.01
 COMMAND = 50 + 30 * np.sign(np.sin(1.7 * T))
@@ -37,8 +38,7 @@ class Rig:
         self.stage = STAGE
 
     def lines(self, columns):
-        rows = zip(*(map(str, c.tolist()) for c in columns.values()), strict=True)
-        return [",".join(columns), *map(",".join, rows)]
+        return table(",".join(columns), *columns.values()).splitlines()
 
     def write(self):
         for name in ("sent", "seen"):
@@ -49,8 +49,7 @@ class Rig:
         return self.folder / "stage.yaml"
 
     def says(self, old, new):
-        assert old in self.stage
-        self.stage = self.stage.replace(old, new)
+        self.stage = changed(self.stage, (old, new))
 
     def cell(self, row, text):
         lines = self.lines(self.seen)
@@ -68,25 +67,70 @@ def test_the_unchanged_rig_is_valid(rig):
     assert trial.warnings == ()
 
 
-def _clock_back(rig):
-    rig.seen["t"][200:] -= 60.0
+BASE = "  base: {time: {source: t, unit: s}, columns: {position: {source: p, unit: m}}}\nmodel:"
+FILES = "{command: sent.csv, measured: seen.csv}"
 
 
-def _repeated(rig):
-    rig.seen["t"][1::2] = rig.seen["t"][::2]
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("lag_s: 0.05", "tau_s: 1", r"stage.yaml:7: model.tau_s: unknown key; did you mean lag_s\?"),
+        ("model:", BASE, r"stage.yaml:7: channels.base: unknown channel; a tracking stage has command, measured; call"),
+        ("kind: tracking", "kind: tracking\nlinks: 2", r"links: is for a chain or a pendulum"),
+        ("kind: tracking", "kind: tracking\nangles: relative", r"angles: is for a chain"),
+        ("tracking", "trakcing", r"stage.yaml:3: kind: is 'trakcing'; allowed 'tracking' or"),
+        ("p, unit: kPa", "p, unit: kpa", r"pressure.unit: no unit 'kpa'; did you mean kPa\?"),
+        (
+            "p, unit: kPa",
+            "p, unit: mm",
+            r"stage.yaml:6: .*pressure.unit: is mm, not a unit of pressure; .* kPa; correct",
+        ),
+        ("u, unit: kPa", "u, unit: V", r"stage.yaml:7: model: the command is in V, .*: write `gain` \(kPa for one V\)"),
+        ("t, unit: s", "t, unit: m", r"time.unit: is a unit of m, not of time; write s"),
+        ("{pressure:", "{presure:", r"columns.presure: unknown column; did you mean pressure\? .*call it one of these"),
+        ("source: p", "source: q", r"seen.csv: no column q; it has t, p; correct the stage.yaml"),
+        ("source: p", "source: p - t", r"no column p - t; .*; for a difference write `source: p, minus: t`"),
+        ("source: p", "source: 0", r"stage.yaml:6: channels.measured.columns.pressure.source: is 0; allowed"),
+        ("source: p", "source: 3", r"seen.csv: no column 3; it has 2, counted from 1; correct `source`"),
+        ("seen.csv", "gone.csv", r"gone.csv: does not exist; correct `files`"),
+        (FILES, "'runs/*.csv'", r"stage.yaml: trial one: files: no file matches .*runs/\*.csv; correct the pattern"),
+        ("measured: seen.csv}", "measurd: seen.csv}", r"files: no channel measurd; did you mean measured\? the file"),
+        (", measured: seen.csv", "", r"trial one: names no file for the measured channel; add it under `files`"),
+        ("kind: tracking", "kind: tracking\nelements: {a: 0}", r"sent.csv: column u contains plain numbers, not lists"),
+        (
+            "kind: steps,",
+            "kind: steps, segment: a,",
+            r"trial one: has a segment, but no `source` holds \{segment\}; put",
+        ),
+        ("t, unit: s", "t, unit: ms", r"t: rows are 1e-05 s apart; its stamps look like s: write `unit: s`"),
+    ],
+)
+def test_a_mistake_in_a_stage_file_is_reported_with_place_and_next_step(rig, old, new, says):
+    rig.says(old, new)
+    assert_refused(rig, says)
+
+
+@pytest.mark.parametrize(
+    ("cell", "says"),
+    [
+        ("oops", r"'oops' is not a finite number; repair it"),
+        ("", r"'' is not .* write `table: \{missing: \[\"\"\]\}`"),
+        ("nan", r"'nan' is .* write `table: \{missing: \[nan\]\}`"),
+    ],
+)
+def test_a_cell_without_a_number_is_reported_with_its_row(rig, cell, says):
+    rig.cell(7, cell)
+    assert_refused(rig, r"seen.csv: column p, row 7: " + says)
 
 
 def _short(rig):
     rig.seen = {name: values[:15] for name, values in rig.seen.items()}
 
 
-def _long(rig):
-    rig.sent = {name: values[:100] for name, values in rig.sent.items()}
-
-
-def _parquet(rig, values):
+def _parquet(rig, values, stage=""):
     parquet.write_table(pa.table({"t": T, "p": values}), rig.folder / "seen.parquet")
     rig.says("seen.csv", "seen.parquet")
+    rig.stage += stage
 
 
 def _ragged(rig):
@@ -99,205 +143,76 @@ def _headerless(rig):
     (rig.folder / "seen.csv").write_text("\n".join(rig.lines(rig.seen)[1:]))
 
 
-def _gap_of_the_clock(rig):
-    rig.seen["t"][300:] += 1e6
+def _other_file(rig, name):
+    (rig.folder / name).write_text("x")
+    rig.says("seen.csv", name)
 
 
-WRONG = {
-    "an unknown key of the model": (
-        lambda rig: rig.says("lag_s: 0.05", "time_constant_s: 1"),
-        r"stage.yaml:7: model.time_constant_s: unknown key; did you mean lag_s\? the model of a tracking stage",
-    ),
-    "a channel of another kind": (
-        lambda rig: rig.says(
-            "model:", "  base: {time: {source: t, unit: s}, columns: {position: {source: p, unit: m}}}\nmodel:"
+def _times(factor):
+    """Multiply the stamps of both channels."""
+    return lambda rig: (rig.seen["t"].__imul__(factor), rig.sent["t"].__imul__(factor))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rig: _parquet(rig, np.full(400, np.nan)), r"column p, every row is nan; leave such rows out, or write"),
+        (
+            lambda rig: _parquet(rig, np.full(400, np.nan), "table: {missing: [nan]}\n"),
+            r"seen.parquet: column p has no value in any row; leave it out of the stage.yaml, or this trial",
         ),
-        r"stage.yaml:7: channels.base: unknown channel; a tracking stage has command, measured; call it one of these",
-    ),
-    "links of a tracking stage": (
-        lambda rig: rig.says("kind: tracking", "kind: tracking\nlinks: 2"),
-        r"links: is for a chain or a pendulum",
-    ),
-    "angles of a tracking stage": (
-        lambda rig: rig.says("kind: tracking", "kind: tracking\nangles: relative"),
-        r"angles: is for a chain",
-    ),
-    "a negative lag": (lambda rig: rig.says("0.05", "-1"), r"stage.yaml:7: model.lag_s: is -1; allowed 0 to 1000 s"),
-    "a lag as text": (
-        lambda rig: rig.says("0.05", "50 ms"),
-        r"model.lag_s: is '50 ms'; .*write a bare number in s: 0.05",
-    ),
-    "an unknown kind": (
-        lambda rig: rig.says("tracking", "trakcing"),
-        r"stage.yaml:3: kind: is 'trakcing'; allowed 'tracking' or",
-    ),
-    "a mistyped key": (
-        lambda rig: rig.says("trials:", "trails:"),
-        r"stage.yaml:8: trails: unknown key; did you mean trials\?",
-    ),
-    "an unknown unit": (
-        lambda rig: rig.says("p, unit: kPa", "p, unit: kpa"),
-        r"pressure.unit: no unit 'kpa'; did you mean kPa\?",
-    ),
-    "a unit of another thing": (
-        lambda rig: rig.says("p, unit: kPa", "p, unit: mm"),
-        r"stage.yaml:6: channels.measured.columns.pressure.unit: is mm, not a unit of pressure; .* kPa; correct it",
-    ),
-    "a command in volts": (
-        lambda rig: rig.says("u, unit: kPa", "u, unit: V"),
-        r"stage.yaml:7: model: the command is in V, the measured pressure in kPa: write `gain` \(kPa for one V\)",
-    ),
-    "a time in metres": (
-        lambda rig: rig.says("t, unit: s", "t, unit: m"),
-        r"time.unit: is a unit of m, not of time; write s",
-    ),
-    "an unknown column's name": (
-        lambda rig: rig.says("{pressure:", "{presure:"),
-        r"columns.presure: unknown column; did you mean pressure\? .*call it one of these",
-    ),
-    "no such column": (
-        lambda rig: rig.says("source: p", "source: q"),
-        r"seen.csv: no column q; it has t, p; correct the stage.yaml",
-    ),
-    "a difference in one source": (
-        lambda rig: rig.says("source: p", "source: p - t"),
-        r"seen.csv: no column p - t; it has t, p; for a difference write `source: p, minus: t`",
-    ),
-    "no such file": (lambda rig: rig.says("seen.csv", "gone.csv"), r"gone.csv: does not exist; correct `files`"),
-    "a pattern that nothing fits": (
-        lambda rig: rig.says("{command: sent.csv, measured: seen.csv}", "'runs/*.csv'"),
-        r"stage.yaml: trial one: files: no file matches .*runs/\*.csv; correct the pattern",
-    ),
-    "files for no channel": (
-        lambda rig: rig.says("measured: seen.csv}", "measurd: seen.csv}"),
-        r"stage.yaml: trial one: files: no channel measurd; did you mean measured\? the file describes command",
-    ),
-    "no file for a channel": (
-        lambda rig: rig.says(", measured: seen.csv", ""),
-        r"stage.yaml: trial one: names no file for the measured channel; add it under `files`",
-    ),
-    "a text for a number": (
-        lambda rig: rig.cell(7, "oops"),
-        r"seen.csv: column p, row 7: 'oops' is not a finite number; repair it",
-    ),
-    "an empty cell": (
-        lambda rig: rig.cell(7, ""),
-        r"seen.csv: column p, row 7: '' is not .* write `table: \{missing: \[\"\"\]\}`",
-    ),
-    "a nan": (
-        lambda rig: rig.cell(7, "nan"),
-        r"seen.csv: column p, row 7: 'nan' is .* write `table: \{missing: \[nan\]\}`",
-    ),
-    "an infinity": (
-        lambda rig: rig.cell(7, "inf"),
-        r"seen.csv: column p, row 7: 'inf' is not a finite number; repair it",
-    ),
-    "a decimal comma among commas": (
-        lambda rig: rig.cell(7, '"1,5"'),
-        r"seen.csv: column p, row 7: '1,5' is not a finite number; write `table: \{decimal: ','\}`",
-    ),
-    "a column of nothing but nan": (
-        lambda rig: _parquet(rig, np.full(400, np.nan)),
-        r"seen.parquet: column p, every row is nan; leave such rows out, or write `table: \{missing: \[nan\]\}`",
-    ),
-    "nothing was measured in any row": (
-        lambda rig: (_parquet(rig, np.full(400, np.nan)), rig.says("trials:", "table: {missing: [nan]}\ntrials:")),
-        r"seen.parquet: column p has no value in any row; leave it out of the stage.yaml, or this trial",
-    ),
-    "a column of text": (
-        lambda rig: _parquet(rig, ["on"] * 400),
-        r"seen.parquet: column p does not contain numbers; correct it or name another",
-    ),
-    "a ragged row": (_ragged, r"seen.csv: row 10 has 3 cells, the header 2; repair that row"),
-    "an empty file": (lambda rig: (rig.folder / "seen.csv").write_text(""), r"seen.csv: has no rows; record some"),
-    "no header": (_headerless, r"seen.csv: no column t; it has no header, but 2 columns: name them by number, from 1"),
-    "a file of another kind": (
-        lambda rig: ((rig.folder / "seen.xlsx").write_text("x"), rig.says("seen.csv", "seen.xlsx")),
-        r"seen.xlsx: tables are .csv, .* or .mat; export it as one of these",
-    ),
-    "a damaged file": (
-        lambda rig: ((rig.folder / "seen.parquet").write_text("x"), rig.says("seen.csv", "seen.parquet")),
-        r"seen.parquet: cannot be read \(.*\); export it again",
-    ),
-    "a dead sensor": (
-        lambda rig: rig.seen["p"].fill(101.3),
-        r"seen.csv: column p: pressure is 101.3 kPa in every row; a dead sensor or the wrong column: name another",
-    ),
-    "a trial that moves nothing": (
-        lambda rig: (rig.seen["p"].fill(1.0), rig.sent["u"].fill(0.0)),
-        r"seen.csv: column p: nothing moves in this trial, neither pressure nor command; leave the trial out",
-    ),
-    "pascals called kilopascals": (
-        lambda rig: rig.seen["p"].__imul__(1e3),
-        r"seen.csv: column p: pressure moves 1.*e\+03 times .*sent.csv: column u\); pressure looks like Pa or comm",
-    ),
-    "psi called kilopascals": (
-        lambda rig: rig.seen["p"].__itruediv__(6.895),
-        r"seen.csv: column p: pressure moves 0.145 times .*pressure looks like psi: correct `unit`",
-    ),
-    "a command in another unit": (
-        lambda rig: rig.sent["u"].__itruediv__(100),
-        r"sent.csv: column u\); (pressure looks like|command looks like) \w+: correct `unit`",
-    ),
-    "milliseconds called seconds": (
-        lambda rig: (rig.seen["t"].__imul__(1e3), rig.sent["t"].__imul__(1e3)),
-        r"seen.csv: column t: rows are 10 s apart; its stamps look like ms: write `unit: ms`",
-    ),
-    "microseconds called seconds": (
-        lambda rig: rig.seen["t"].__imul__(1e6),
-        r"seen.csv: column t: rows are 1e\+04 s apart; its stamps look like us: write `unit: us`",
-    ),
-    "seconds called milliseconds": (
-        lambda rig: rig.says("t, unit: s", "t, unit: ms"),
-        r"t: rows are 1e-05 s apart; its stamps look like s: write `unit: s`",
-    ),
-    "one clock in milliseconds": (
-        lambda rig: (rig.seen["t"].__imul__(100), rig.sent["t"].__imul__(0.1)),
-        r"sent.csv: column t: the command channel lasts .* measured .*: the stamps of one|correct its `unit`",
-    ),
-    "clocks that never meet": (
-        lambda rig: rig.seen["t"].__iadd__(500.0),
-        r"sent.csv: column t: the command channel runs from 0 to 3.99 s, measured from 500 .*; stamp both by one clock",
-    ),
-    "a clock set back": (
-        _clock_back,
-        r"seen.csv: column t: the clock is set back by 59.99 s at row 202 \(1.99 s, then -58 s\); split the recording",
-    ),
-    "a clock set ahead": (
-        _gap_of_the_clock,
-        r"seen.csv: column t: the clock jumps ahead by 1e\+06 s at row 302; split the",
-    ),
-    "one stamp for all": (
-        lambda rig: rig.seen["t"].fill(3.0),
-        r"seen.csv: column t: every row has the stamp 3 s; name the",
-    ),
-    "too short a record": (
-        _short,
-        r"seen.csv: column t: 15 rows over 0.14 s; the measured channel needs 20 rows over 0.8 s",
-    ),
-    "elements of plain numbers": (
-        lambda rig: rig.says("kind: tracking", "kind: tracking\nelements: {a: 0}"),
-        r"sent.csv: column u contains plain numbers, not lists; leave `elements` out",
-    ),
-    "a segment for no source": (
-        lambda rig: rig.says("kind: steps,", "kind: steps, segment: a,"),
-        r"stage.yaml: trial one: has a segment, but no `source` holds \{segment\}; put it there",
-    ),
-    "two trials of one name": (
-        lambda rig: rig.says(
-            "trials:", "trials:\n  - {name: one, kind: x, files: {command: sent.csv, measured: seen.csv}}"
+        (lambda rig: _parquet(rig, ["on"] * 400), r"seen.parquet: column p does not contain numbers; correct it or"),
+        (_ragged, r"seen.csv: row 10 has 3 cells, the header 2; repair that row"),
+        (lambda rig: (rig.folder / "seen.csv").write_text(""), r"seen.csv: has no rows; record some"),
+        (_headerless, r"seen.csv: no column t; it has no header, but 2 columns: name them by number, from 1"),
+        (
+            lambda rig: _other_file(rig, "seen.xlsx"),
+            r"seen.xlsx: tables are .csv, .* or .mat; export it as one of these",
         ),
-        r"stage.yaml: two trials are called one; give one of them another `name`",
-    ),
-    "a number below the first column": (
-        lambda rig: rig.says("source: p", "source: 0"),
-        r"stage.yaml:6: channels.measured.columns.pressure.source: is 0; allowed",
-    ),
-    "a column beyond the last": (
-        lambda rig: rig.says("source: p", "source: 3"),
-        r"seen.csv: no column 3; it has 2, counted from 1; correct `source`",
-    ),
-}
+        (lambda rig: _other_file(rig, "seen.parquet"), r"seen.parquet: cannot be read \(.*\); export it again"),
+        (
+            lambda rig: rig.seen["p"].fill(101.3),
+            r"seen.csv: column p: pressure is 101.3 kPa in every row; a dead sensor or the wrong column: name another",
+        ),
+        (
+            lambda rig: (rig.seen["p"].fill(1.0), rig.sent["u"].fill(0.0)),
+            r"seen.csv: column p: nothing moves in this trial, neither pressure nor command; leave the trial out",
+        ),
+        (
+            lambda rig: rig.seen["p"].__imul__(1e3),
+            r"seen.csv: column p: pressure moves 1.*e\+03 times .*sent.csv: column u\); pressure looks like Pa or comm",
+        ),
+        (
+            lambda rig: rig.seen["p"].__itruediv__(6.895),
+            r"seen.csv: column p: pressure moves 0.145 times .*pressure looks like psi: correct `unit`",
+        ),
+        (_times(1e3), r"seen.csv: column t: rows are 10 s apart; its stamps look like ms: write `unit: ms`"),
+        (
+            lambda rig: (rig.seen["t"].__imul__(100), rig.sent["t"].__imul__(0.1)),
+            r"sent.csv: column t: the command channel lasts .* measured .*: the stamps of one|correct its `unit`",
+        ),
+        (
+            lambda rig: rig.seen["t"].__iadd__(500.0),
+            r"sent.csv: column t: the command channel runs from 0 to 3.99 s, measured from 500 .*; stamp both by one",
+        ),
+        (
+            lambda rig: rig.seen["t"][200:].__isub__(60.0),
+            r"column t: the clock is set back by 59.99 s at row 202 \(1.99 s, then -58 s\); split the recording",
+        ),
+        (lambda rig: rig.seen["t"][300:].__iadd__(1e6), r"the clock jumps ahead by 1e\+06 s at row 302; split the"),
+        (lambda rig: rig.seen["t"].fill(3.0), r"seen.csv: column t: every row has the stamp 3 s; name the"),
+        (_short, r"seen.csv: column t: 15 rows over 0.14 s; the measured channel needs 20 rows over 0.8 s"),
+    ],
+)
+def test_a_mistake_in_a_table_is_reported_with_place_and_next_step(rig, change, says):
+    change(rig)
+    assert_refused(rig, says)
+
+
+def assert_refused(rig, says):
+    text = refusal(rig.write())
+    assert re.search(says, text), text
+    assert len(text.splitlines()) <= 2  # the same of each of two channels at most
 
 
 def refusal(stage):
@@ -311,16 +226,6 @@ def refusal(stage):
     return "nothing"
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_a_mistake_gives_one_sentence_with_place_and_next_step(rig, case):
-    change, says = WRONG[case]
-    change(rig)
-    stage = rig.write()
-    text = refusal(stage)
-    assert re.search(says, text), text
-    assert len(text.splitlines()) <= 2  # the same of each of two channels at most
-
-
 CART = """
 name: cart
 kind: driven_mass
@@ -332,13 +237,14 @@ trials: [{files: cart.csv}]
 """
 
 
-def cart(folder, **changed):
-    """A cart of 2 kg under 0.5 A of a motor that gives 8 N/A."""
-    moved = {"t": T, "i": 500 * np.sin(3 * T), "x": -1e3 * 2 / 9 * np.sin(3 * T), "v": -1e3 * 2 / 3 * np.cos(3 * T)}
-    moved |= changed
-    rows = zip(*(c.tolist() for c in moved.values()), strict=True)
-    (folder / "cart.csv").write_text("\n".join([",".join(moved), *(",".join(map(str, r)) for r in rows)]))
-    (folder / "stage.yaml").write_text(CART)
+SPEED = ", velocity: {source: v, unit: mm/s}"
+
+
+def cart(folder, *changes):
+    """Write a cart of 2 kg under 0.5 A of a motor that gives 8 N/A."""
+    moved = 500 * np.sin(3 * T), -1e3 * 2 / 9 * np.sin(3 * T), -1e3 * 2 / 3 * np.cos(3 * T)
+    (folder / "cart.csv").write_text(table("t,i,x,v", T, *moved))
+    (folder / "stage.yaml").write_text(changed(CART, *changes))
     return folder / "stage.yaml"
 
 
@@ -353,88 +259,78 @@ def test_the_unchanged_cart_is_valid(tmp_path):
         (
             "unit: mm/s",
             "unit: m/s",
-            r"cart.csv: column v: velocity is 1e\+03 times .* position looks like m or velocity looks like mm/s",
+            r"column v: velocity is 1e\+03 times .* position looks like m or velocity looks like",
         ),
-        (
-            "unit: mm}",
-            "unit: m}",
-            r"cart.csv: column v: velocity is 0.001 times .* position looks like mm or velocity looks",
-        ),
-        (", velocity: {source: v, unit: mm/s}", "", "nothing"),
-        ("gain: 8", "gain: 0", r"stage.yaml:7: model.gain: is 0, so nothing would move"),
-        (
-            ", gain: 8",
-            "",
-            r"stage.yaml:7: model: the input is a current or a voltage: write `gain`, in N or N m per A",
-        ),
+        ("unit: mm}", "unit: m}", r"column v: velocity is 0.001 times .* position looks like mm or velocity looks"),
+        (SPEED, "", "nothing"),
+        (", gain: 8", "", r"stage.yaml:7: model: the input is a current or a voltage: write `gain`, in N or N m per A"),
         ("mass_kg", "inertia_kg_m2", r"model: the measured columns are in m or m/s: write mass_kg"),
         ("unit: mA", "unit: mV", r"current.unit: is mV, not a unit of current; allowed are units of A; correct it"),
     ],
 )
 def test_a_mistake_in_a_cart_is_reported(tmp_path, old, new, says):
-    stage = cart(tmp_path)
-    assert old in CART
-    stage.write_text(CART.replace(old, new))
+    stage = cart(tmp_path, (old, new))
     assert re.search(says, refusal(stage)), refusal(stage)
 
 
 def test_a_position_that_no_force_explains_is_reported(tmp_path):
-    stage = cart(tmp_path)
-    stage.write_text(CART.replace(", velocity: {source: v, unit: mm/s}", "").replace("unit: mm}", "unit: m}"))
+    stage = cart(tmp_path, (SPEED, ""), ("unit: mm}", "unit: m}"))
     assert re.search(r"column x: position accelerates by 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
 
 
+PENDULUM = """
+name: joint
+kind: pendulum
+channels:
+  measured: {time: {source: t, unit: s}, columns: {angle1: {source: a, unit: deg}}}
+model: {mass_kg: 1, centre_m: 0.1, inertia_kg_m2: 0}
+trials: [{files: swing.csv}]
+"""
+
+
 def test_a_wrapped_angle_and_a_pendulum_at_pi_are_reported(tmp_path):
-    rows = "".join(f"{t:.2f},{(a + 180) % 360 - 180}\n" for t, a in zip(T, 170 + 60 * np.sin(3 * T), strict=True))
-    (tmp_path / "swing.csv").write_text("t,a\n" + rows)
-    (tmp_path / "stage.yaml").write_text(
-        "name: joint\nkind: pendulum\nchannels:\n  measured: {time: {source: t, unit: s}, columns: {angle1: {source: a"
-        ", unit: deg}}}\nmodel: {mass_kg: 1, centre_m: 0.1, inertia_kg_m2: 0}\ntrials: [{files: swing.csv}]\n"
-    )
-    assert re.search(
-        r"swing.csv: column a: angle1 starts again after a whole turn at .*unwrap", refusal(tmp_path / "stage.yaml")
-    )
-    (tmp_path / "swing.csv").write_text("t,a\n" + "".join(f"{t:.2f},{180 + 20 * np.sin(3 * t)}\n" for t in T))
-    (trial,) = tables.read(tmp_path / "stage.yaml")
-    assert re.search(
-        r"column a: the median of angle1 is 3.1\d* rad, .* hangs at 0; write `add: -3.141593`", trial.warnings[0]
-    )
+    wrapped = (350 + 60 * np.sin(3 * T)) % 360 - 180
+    says = r"swing.csv: column a: angle1 starts again after a whole turn at .*unwrap"
+    with pytest.raises(TrialError, match=says):
+        read(tmp_path, table("t,a", T, wrapped), stage=PENDULUM, name="swing.csv")
+    (trial,) = read(tmp_path, table("t,a", T, 180 + 20 * np.sin(3 * T)), stage=PENDULUM, name="swing.csv")
+    says = r"column a: the median of angle1 is 3.1\d* rad, .* hangs at 0; write `add: -3.141593`"
+    assert re.search(says, trial.warnings[0])
 
 
-ODD = {
-    "stamps twice": (_repeated, r"seen.csv: measured: 200 rows repeat a stamp .*; write every row once"),
-    "commands that end early": (
-        _long,
-        r"seen.csv: column t: goes on for 3 s after the last command, .*; cut those rows",
-    ),
-    "a command that never changes": (
-        lambda rig: rig.sent["u"].fill(50.0),
-        r"sent.csv: column u: the command is 50 kPa in every row, but the measured values change; correct the column",
-    ),
-    "a velocity that is not there": (
-        lambda rig: (
-            rig.seen.update(v=np.zeros(400)),
-            rig.says("kPa}}}\nmodel", "kPa}, effort: {source: v, unit: A}}}\nmodel"),
+def _repeated(rig):
+    rig.seen["t"][1::2] = rig.seen["t"][::2]
+
+
+def _ends_early(rig):
+    rig.sent = {name: values[:100] for name, values in rig.sent.items()}
+
+
+def _dead_effort(rig):
+    rig.seen["v"] = np.zeros(400)
+    rig.says("kPa}}}\nmodel", "kPa}, effort: {source: v, unit: A}}}\nmodel")
+
+
+def _mostly_missing(rig):
+    rig.seen["p"][:300] = -999
+    rig.says("trials:", "table: {missing: [-999]}\ntrials:")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (_repeated, r"seen.csv: measured: 200 rows repeat a stamp .*; write every row once"),
+        (_ends_early, r"seen.csv: column t: goes on for 3 s after the last command, .*; cut those rows"),
+        (
+            lambda rig: rig.sent["u"].fill(50.0),
+            r"sent.csv: column u: the command is 50 kPa in every row, but the measured values change; correct the col",
         ),
-        r"seen.csv: column v: effort is 0 A in every row; leave the column out",
-    ),
-    "rows that are counted, or milliseconds": (
-        lambda rig: (rig.seen["t"].__imul__(100), rig.sent["t"].__imul__(100)),
-        r"seen.csv: column t: rows are 1 s apart; if its stamps are in ms, write `unit: ms`; if they count rows",
-    ),
-    "mostly missing": (
-        lambda rig: (
-            rig.seen["p"].__setitem__(slice(0, 300), -999),
-            rig.says("trials:", "table: {missing: [-999]}\ntrials:"),
-        ),
-        r"seen.csv: column p has no value in 75% of the rows, which are left out",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", ODD)
-def test_doubtful_data_are_read_with_a_warning(rig, case):
-    change, says = ODD[case]
+        (_dead_effort, r"seen.csv: column v: effort is 0 A in every row; leave the column out"),
+        (_times(100), r"column t: rows are 1 s apart; if its stamps are in ms, write `unit: ms`; if they count rows"),
+        (_mostly_missing, r"seen.csv: column p has no value in 75% of the rows, which are left out"),
+    ],
+)
+def test_doubtful_data_are_read_with_a_warning(rig, change, says):
     change(rig)
     stage = rig.write()
     with warnings.catch_warnings():
