@@ -10,31 +10,11 @@ from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.curve import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
 
 ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)
-EMPTY = {
-    "where": {"stage": None, "share": {}, "regime": "nowhere"},
-    "gap": {key: {} for key in ("before", "after", "floor", "ceiling")},
-}
 
 
-def effect(name, equivalents=()):
-    whole = {"value": 0.5, "low": 0.4, "high": 0.6}
-    return {
-        "name": name,
-        "parameters": {},
-        "confidence": None,
-        "equivalents": list(equivalents),
-        "shrink": {"stage": whole, "chain": None},
-    }
-
-
-def verdict(*effects):
-    own = {
-        "verdict": "named" if effects else "none",
-        "effects": list(effects),
-        "next_experiment": None,
-        "warnings": [],
-    }
-    return EMPTY | own
+def verdict(*sets):
+    """Return a verdict that names effects, each with its equivalents."""
+    return {"effects": [{"name": first, "equivalents": others} for first, *others in sets]}
 
 
 @given(ANSWERS)
@@ -60,7 +40,7 @@ def test_a_larger_margin_with_a_higher_share_has_its_own_bin():
 
 def test_a_set_with_a_cause_is_right_and_names_without_margin_do_not_count():
     labels = seal.Labels("5a" * 32, 1, {"a": {"kind": "two", "causes": [{"name": "rail.lag"}, {"name": "arm.drag"}]}})
-    reply = verdict(effect("rail.delay", ["rail.lag"]), effect("arm.tilt"), effect("arm.drag"))
+    reply = verdict(["rail.delay", "rail.lag"], ["arm.tilt"], ["arm.drag"])
     answers = {"answers": [{"case": "a", "verdict": reply, "margins": {"rail.delay": 0.3, "arm.tilt": 0.1}}]}
     assert list(of_robot(labels, answers)) == [("set", 0.3, True), ("alone", 0.1, False)]
 
@@ -68,7 +48,7 @@ def test_a_set_with_a_cause_is_right_and_names_without_margin_do_not_count():
 @pytest.mark.parametrize(("must", "right"), [([], True), (["lag", "dead_time"], False)])
 def test_one_of_several_inseparable_names_is_wrong_on_its_own(tmp_path, must, right):
     cause = {"names": ["lag"], "tied": ["dead_time"], "also": [], "near": [], "must": must}
-    reply = {"verdict": verdict(effect("servo.lag")), "margins": {"servo.lag": 0.4}}
+    reply = {"verdict": verdict(["servo.lag"]), "margins": {"servo.lag": 0.4}}
     for folder, content in (("truths", {"causes": [cause]}), ("answers", reply)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.json").write_text(json.dumps(content))

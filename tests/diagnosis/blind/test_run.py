@@ -19,20 +19,11 @@ from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict,
 from softarm.simulator import model_file
 
 CASES = ("case-a", "case-b", "case-c")
+GAIN = {"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}
+CABLE = {"name": "unknown.cable", "stage": "rail", "removed": False, "settings": {}}
+KINDS = (("single", [GAIN]), ("none", []), ("unknown", [CABLE]))
 LABELS = seal.Labels(
-    "5a" * 32,
-    3,
-    {
-        "case-a": {
-            "kind": "single",
-            "causes": [{"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}],
-        },
-        "case-b": {"kind": "none", "causes": []},
-        "case-c": {
-            "kind": "unknown",
-            "causes": [{"name": "unknown.cable", "stage": "rail", "removed": False, "settings": {}}],
-        },
-    },
+    "5a" * 32, 3, {case: {"kind": kind, "causes": of} for case, (kind, of) in zip(CASES, KINDS, strict=True)}
 )
 
 
@@ -205,7 +196,7 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
 def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
     file, labels = tmp_path / "answers.json", tmp_path / "sealed" / "labels.json"
     run.run(data, file, processes=1)
-    files, expected = [file], ""
+    files = [file]
     if broken == "answers":
         file.write_text(file.read_text().replace("pressure.gain", "rail.gain"))
         expected = "has changed since it was frozen"
@@ -222,10 +213,10 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
         seal.freeze(file)
         expected = "case-c"
     else:
-        files, expected = [file, file], "one file for each method"
-        shutil.copy(file, tmp_path / "copy.json")
+        files.append(tmp_path / "copy.json")
+        shutil.copy(file, files[1])
         shutil.copy(tmp_path / "answers.json.sha256", tmp_path / "copy.json.sha256")
-        files = [file, tmp_path / "copy.json"]
+        expected = "one file for each method"
     with pytest.raises(seal.SealError, match=expected):
         opening.open_labels(data, labels, files, tmp_path / "out", None)
     assert not (tmp_path / "out").exists()

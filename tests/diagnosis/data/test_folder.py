@@ -1,6 +1,5 @@
 """Trial folders of CSV or Parquet files: exact values, and errors that name file, column and row."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -74,17 +73,7 @@ def test_a_bad_cell_is_named_by_file_column_and_row(written, name, row, column, 
 
 def test_an_invalid_trial_yaml_is_rejected(written):
     (written / "trial.yaml").write_text("kind: chirp\nrail: clamped\n")
-    with pytest.raises(
-        TrialError,
-        match=r"trial\.yaml:2: rail: is 'clamped'; allowed 'free' or 'held'; change it",
-    ):
-        folder.read(written)
-
-
-def test_a_row_of_another_length_is_rejected(written):
-    path = written / "rail.csv"
-    path.write_text(path.read_text() + "1.0,2.0\n")
-    with pytest.raises(TrialError, match=r"rail\.csv: row \d+ has 2 cells, the header 3"):
+    with pytest.raises(TrialError, match=r"trial\.yaml:2: rail: is 'clamped'; allowed 'free' or 'held'; change it"):
         folder.read(written)
 
 
@@ -172,26 +161,19 @@ def test_one_channel_in_two_files_is_rejected(short, in_parquet, write):
     ("value", "says"),
     [
         (None, r"column velocity, row 1: nan is not a finite number; leave the row out if nothing was measured"),
-        (math.inf, r"column velocity, row 1: inf is not a finite number"),
         (np.datetime64("2026-11-22T12:00:00"), r"column velocity does not contain numbers"),
     ],
 )
 def test_a_column_without_numbers_is_rejected(short, in_parquet, value, says):
     count = len(short.channels["rail"])
-    one = type(value) in (str, np.datetime64)
-    change(in_parquet / "rail.parquet", "velocity", pa.array([value] * count if one else [value] + [0.1] * (count - 1)))
+    others = [0.1 if value is None else value] * (count - 1)
+    change(in_parquet / "rail.parquet", "velocity", pa.array([value, *others]))
     with pytest.raises(TrialError, match=r"rail\.parquet: " + says):
         folder.read(in_parquet)
 
 
-def test_an_invalid_parquet_file_is_rejected(in_parquet):
+def test_a_parquet_file_without_rows_is_rejected(in_parquet):
     table = parquet.read_table(in_parquet / "rail.parquet")
-    parquet.write_table(table.drop_columns(["velocity"]), in_parquet / "rail.parquet")
-    with pytest.raises(TrialError, match=r"rail\.parquet: no column velocity; it has t, position"):
-        folder.read(in_parquet)
     parquet.write_table(table.slice(0, 0), in_parquet / "rail.parquet")
     with pytest.raises(TrialError, match=r"rail\.parquet: has no rows"):
-        folder.read(in_parquet)
-    (in_parquet / "rail.parquet").write_bytes(b"t,position,velocity\n")
-    with pytest.raises(TrialError, match=r"rail\.parquet: cannot be read \(.*\); export it again"):
         folder.read(in_parquet)
