@@ -15,8 +15,8 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.record import record
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
 from softarm.simulator import model_file
+from tests.diagnosis.verdicts import effect, verdict
 
 CASES = ("case-a", "case-b", "case-c")
 GAIN = {"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}
@@ -47,17 +47,10 @@ def names_gain(trials, model):
     """Stub of a method whose answer contains everything that it can read."""
     seen = [f"{trial.name} {trial.kind} {trial.source} {trial.warnings} {trial.missing}" for trial in trials]
     rms = float(np.std(trials[0].channels["mocap"]["link5_y"]))
-    effect = NamedEffect(
-        name="pressure.gain",
-        parameters={},
-        confidence=0.8,
-        shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
-    )
-    where = Where(stage="pressure", share={"pressure": 1.0}, regime=f"{seen} {rms!r} {sorted(model.effects)}")
-    gap = Gap(before={}, after={}, floor={}, ceiling={})
-    verdict = Verdict(verdict="named", where=where, effects=(effect,), gap=gap)
+    gain, regime = effect("pressure.gain", confidence=0.8), f"{seen} {rms!r} {sorted(model.effects)}"
+    found = verdict("named", gain, stage="pressure", share={"pressure": 1.0}, regime=regime)
     patched = model.model_copy(update={"effects": {**model.effects, "pressure.gain": {}}})
-    return Diagnosis(verdict, model, patched, (), margins={"pressure.gain": 0.4})
+    return Diagnosis(found, model, patched, (), margins={"pressure.gain": 0.4})
 
 
 @pytest.fixture(autouse=True)

@@ -3,28 +3,11 @@
 import pytest
 
 from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
-from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
-
-NOTHING = Gap(before={}, after={}, floor={}, ceiling={})
+from tests.diagnosis.verdicts import effect, verdict
 
 
-def named(name, *equivalents, confidence=0.9, low=0.4, high=0.6, chain=None):
-    return NamedEffect(
-        name=name,
-        parameters={},
-        confidence=confidence,
-        equivalents=equivalents,
-        shrink=Shrink(stage=Interval(value=(low + high) / 2, low=low, high=high), chain=chain),
-    )
-
-
-def case(kind, causes, *effects, verdict="named", stage=None, shrink=None, removed=False):
-    answer = Verdict(
-        verdict=verdict if effects or verdict != "named" else "none",
-        where=Where(stage=stage, share={}, regime=""),
-        effects=effects,
-        gap=NOTHING,
-    )
+def case(kind, causes, *effects, stated="named", stage=None, shrink=None, removed=False):
+    answer = verdict(stated if effects or stated != "named" else "none", *effects, stage=stage)
     stages = tuple("rail" if name.startswith("unknown") else name.partition(".")[0] for name in causes)
     return Scored("case", kind, tuple(causes), stages, (removed,) * len(causes), answer, "", shrink)
 
@@ -35,10 +18,10 @@ def measures(*cases):
 
 def test_single_causes_are_counted_exact_or_in_sets_of_two():
     found = measures(
-        case("single", ["rail.lag"], named("rail.lag"), stage="rail"),
-        case("single", ["rail.lag"], named("rail.delay", "rail.lag"), stage="rail"),
-        case("single", ["rail.lag"], named("rail.delay", "rail.lag", "mocap.latency"), stage="rail"),
-        case("single", ["rail.lag"], named("rail.lag"), named("arm.drag"), stage="arm"),
+        case("single", ["rail.lag"], effect("rail.lag"), stage="rail"),
+        case("single", ["rail.lag"], effect("rail.delay", "rail.lag"), stage="rail"),
+        case("single", ["rail.lag"], effect("rail.delay", "rail.lag", "mocap.latency"), stage="rail"),
+        case("single", ["rail.lag"], effect("rail.lag"), effect("arm.drag"), stage="arm"),
         case("single", ["rail.lag"], stage=None),
     )
     assert found["single, exact"] == (1, 5)
@@ -50,10 +33,10 @@ def test_single_causes_are_counted_exact_or_in_sets_of_two():
 def test_two_causes_are_matched_in_any_order():
     causes = ["rail.lag", "arm.drag"]
     found = measures(
-        case("two", causes, named("arm.drag"), named("rail.lag"), stage="arm"),
-        case("two", causes, named("arm.damping", "arm.drag"), named("rail.lag"), stage="rail"),
-        case("two", causes, named("rail.lag", "arm.drag"), named("rail.gain"), stage="rail"),
-        case("two", causes, named("rail.lag"), stage="mocap"),
+        case("two", causes, effect("arm.drag"), effect("rail.lag"), stage="arm"),
+        case("two", causes, effect("arm.damping", "arm.drag"), effect("rail.lag"), stage="rail"),
+        case("two", causes, effect("rail.lag", "arm.drag"), effect("rail.gain"), stage="rail"),
+        case("two", causes, effect("rail.lag"), stage="mocap"),
     )
     assert found["two, exact"] == (1, 4)
     assert found["two, exact or in sets of two"] == (2, 4)
@@ -63,11 +46,11 @@ def test_two_causes_are_matched_in_any_order():
 
 def test_names_without_a_cause_and_for_unknown_causes_are_counted():
     found = measures(
-        case("none", [], verdict="none"),
-        case("none", [], named("rail.lag"), stage="rail"),
-        case("unknown", ["unknown.cable"], verdict="unknown", stage="rail"),
-        case("unknown", ["unknown.cable"], named("rail.gain"), verdict="incomplete", stage="rail"),
-        case("unknown", ["unknown.cable"], named("rail.gain"), stage="arm"),
+        case("none", [], stated="none"),
+        case("none", [], effect("rail.lag"), stage="rail"),
+        case("unknown", ["unknown.cable"], stated="unknown", stage="rail"),
+        case("unknown", ["unknown.cable"], effect("rail.gain"), stated="incomplete", stage="rail"),
+        case("unknown", ["unknown.cable"], effect("rail.gain"), stage="arm"),
         Scored("case", "unknown", ("unknown.cable",), ("rail",), (False,), None, "it fell"),
     )
     assert found["none, given a name"] == found["none, said so"] == (1, 2)
@@ -80,8 +63,8 @@ def test_names_without_a_cause_and_for_unknown_causes_are_counted():
 def test_every_wrong_answer_is_listed_with_the_truth():
     found = score(
         [
-            case("single", ["rail.lag"], named("rail.delay"), stage="rail", removed=True),
-            case("none", [], verdict="none"),
+            case("single", ["rail.lag"], effect("rail.delay"), stage="rail", removed=True),
+            case("none", [], stated="none"),
             Scored("other", "none", (), (), (), None, "it fell"),
         ]
     )
@@ -99,10 +82,10 @@ def test_a_share_has_a_wilson_interval():
 
 
 def test_the_calibration_error_is_weighted_by_bin_size():
-    cases = [case("single", ["rail.lag"], named("rail.lag", confidence=0.95))] * 3
-    cases += [case("single", ["rail.lag"], named("rail.gain", confidence=0.95))]
-    cases += [case("single", ["rail.lag"], named("rail.gain", "rail.lag", confidence=0.35))]
-    found = calibration([*cases, case("none", [], named("rail.gain", confidence=1.0))])
+    cases = [case("single", ["rail.lag"], effect("rail.lag", confidence=0.95))] * 3
+    cases += [case("single", ["rail.lag"], effect("rail.gain", confidence=0.95))]
+    cases += [case("single", ["rail.lag"], effect("rail.gain", "rail.lag", confidence=0.35))]
+    found = calibration([*cases, case("none", [], effect("rail.gain", confidence=1.0))])
     # Of 0.95 (four) and 1.0 (one) 3 of 5 were right; of 0.35 the one.
     assert found["named"] == 6
     assert found["ece"] == pytest.approx((abs(4.8 - 3) + abs(0.35 - 1)) / 6)
@@ -112,14 +95,14 @@ def test_the_calibration_error_is_weighted_by_bin_size():
 
 
 def test_coverage_counts_effects_alone_in_their_stage():
-    chain = Interval(value=0.2, low=0.1, high=0.3)
+    chain = (0.2, 0.1, 0.3)
     fresh = {"rail": 0.5, "arm": 0.9, "chain": 0.35}
     found = coverage(
         [
-            case("single", ["rail.lag"], named("rail.lag", chain=chain), shrink=fresh),
-            case("two", ["rail.lag", "arm.drag"], named("rail.lag"), named("arm.drag", chain=chain), shrink=fresh),
-            case("two", ["rail.lag", "rail.gain"], named("rail.lag"), named("rail.gain"), shrink=fresh),
-            case("single", ["rail.lag"], named("rail.lag")),
+            case("single", ["rail.lag"], effect("rail.lag", chain=chain), shrink=fresh),
+            case("two", ["rail.lag", "arm.drag"], effect("rail.lag"), effect("arm.drag", chain=chain), shrink=fresh),
+            case("two", ["rail.lag", "rail.gain"], effect("rail.lag"), effect("rail.gain"), shrink=fresh),
+            case("single", ["rail.lag"], effect("rail.lag")),
         ]
     )
     assert (found["stage"]["hits"], found["stage"]["of"]) == (2, 3)

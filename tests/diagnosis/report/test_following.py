@@ -5,32 +5,19 @@ import numpy as np
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.diagnosis.report import following
-from softarm.diagnosis.rigs.scales import TrackingScales
-from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
+from softarm.schemas.verdict import NextExperiment
+from tests.diagnosis.verdicts import effect, gap, rms, verdict, vocabulary
 
-SCALES = TrackingScales(
-    step_s=0.01, longest_s=20, late_s=0.1, reach=1, top=0.5, commanded=1, rise=1, fall=1, acceleration=10, noise=1e-3
-)
-VOCABULARY = {e.name: e for i in (1, 2, 3) for e in tracking_effects(f"servo{i}", "rad", SCALES)}
-
-
-def effect(name, *equivalents):
-    shrink = Shrink(stage=Interval(value=0.5, low=0.4, high=0.6))
-    return NamedEffect(name=name, parameters={}, equivalents=equivalents, shrink=shrink)
+VOCABULARY = vocabulary("servo1", "servo2", "servo3")
 
 
 def diagnosis(*effects, plan=None, nominal=None, overlays=()):
     """Return a diagnosis with these effects, of a rig unless there is a nominal model of the robot."""
-    verdict = Verdict(
-        verdict="named" if effects else "unknown",
-        where=Where(stage="servo1" if overlays else None, share={}, regime="throughout"),
-        effects=effects,
-        gap=Gap(before={}, after={}, floor={"servo1": Quantity(value=0.01, unit="rad")}, ceiling={}),
-        next_experiment=plan,
-    )
-    return Diagnosis(verdict, nominal, None, (), overlays, vocabulary={} if nominal else VOCABULARY)
+    kind, stage = "named" if effects else "unknown", "servo1" if overlays else None
+    gaps = gap(floor=rms("rad", servo1=0.01))
+    found = verdict(kind, *effects, stage=stage, gaps=gaps, next_experiment=plan)
+    return Diagnosis(found, nominal, None, (), overlays, vocabulary={} if nominal else VOCABULARY)
 
 
 def test_every_set_has_an_experiment_that_separates_it_or_a_note_that_none_is_known():

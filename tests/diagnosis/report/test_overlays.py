@@ -5,10 +5,10 @@ import pytest
 
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.diagnosis.report.overlays import first, window
-from softarm.schemas.verdict import Gap, Quantity, Verdict, Where
+from tests.diagnosis.verdicts import gap, rms, verdict
 
 UNITS = {"arm": "m", "pressure": "kPa"}
-FLOORS = {"arm": Quantity(value=0.003, unit="m"), "pressure": Quantity(value=0.2, unit="kPa")}
+FLOORS = rms("m", arm=0.003) | rms("kPa", pressure=0.2)
 
 
 def drawn(stage, trial, swing, gap, samples=400):
@@ -19,9 +19,8 @@ def drawn(stage, trial, swing, gap, samples=400):
 
 def shown_first(stage, *overlays):
     """Return the trial that the plot of a diagnosis with this stage shows first."""
-    gap = Gap(before={}, after={}, floor=FLOORS, ceiling={})
-    verdict = Verdict(verdict="unknown", where=Where(stage=stage, share={}, regime="throughout"), gap=gap)
-    return overlays[first(Diagnosis(verdict, None, None, (), overlays))].trial
+    found = verdict("unknown", stage=stage, gaps=gap(floor=FLOORS))
+    return overlays[first(Diagnosis(found, None, None, (), overlays))].trial
 
 
 def test_the_plot_opens_at_the_largest_gap_in_noise_floors():

@@ -13,53 +13,26 @@ from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis, Overlay, Regime, Rival, Spectrum, Unexplained
 from softarm.diagnosis.report import words
 from softarm.diagnosis.report.answer import headline
-from softarm.diagnosis.rigs.scales import TrackingScales
-from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import (
-    CalibratedParameter,
-    Estimate,
-    Gap,
-    Interval,
-    NamedEffect,
-    NextExperiment,
-    Quantity,
-    Shrink,
-    Task,
-    Verdict,
-    Where,
-)
+from softarm.schemas.verdict import CalibratedParameter, NextExperiment, Task, Where
 from softarm.simulator.effects import REGISTRY
+from tests.diagnosis.verdicts import effect, gap, interval, rms, vocabulary
+from tests.diagnosis.verdicts import verdict as built
 
 NASTY = "</script><script>alert(1)</script> \"quoted\" & 'so'"
 VOID = {"meta", "br", "input"}
 
 
-def interval(value, low, high):
-    return Interval.model_construct(value=value, low=low, high=high)
-
-
-def rms(unit, **values):
-    return {stage: Quantity(value=value, unit=unit) for stage, value in values.items()}
-
-
-DEAD_TIME = NamedEffect(
-    name="pressure.dead_time",
-    parameters={"delay": Estimate(value=0.0612, low=0.0551, high=0.0683, unit="s")},
+DEAD_TIME = effect(
+    "pressure.dead_time",
+    stage=(0.74, 0.70, 0.78),
+    chain=(0.5, 0.4, 0.6),
     confidence=0.94,
-    shrink=Shrink(stage=interval(0.74, 0.70, 0.78), chain=interval(0.5, 0.4, 0.6)),
+    delay=(0.0612, 0.0551, 0.0683, "s"),
 )
-OTHER_DELAY = NamedEffect(
-    name="rail.delay",
-    parameters={"delay": Estimate(value=0.05, low=0.045, high=0.055, unit="s")},
-    confidence=0.8,
-    shrink=Shrink(stage=interval(0.3, 0.2, 0.4)),
-)
-PAYLOAD = NamedEffect(
-    name="arm.payload",
-    parameters={"mass": Estimate(value=0.03, low=0.028, high=0.033, unit="kg")},
-    shrink=Shrink(stage=interval(0.3, 0.2, 0.4)),
-)
+OTHER_DELAY = effect("rail.delay", confidence=0.8, delay=(0.05, 0.045, 0.055, "s"))
+PAYLOAD = effect("arm.payload", mass=(0.03, 0.028, 0.033, "kg"))
+GONE = effect("observation.finite_difference", confidence=0.9)
 STIFFNESS = CalibratedParameter(
     name="arm.stiffness.scale",
     nominal=0.0,
@@ -72,14 +45,13 @@ STIFFNESS = CalibratedParameter(
     shrink=0.62,
     at_edge=True,
 )
-GONE = NamedEffect(
-    name="observation.finite_difference", parameters={}, confidence=0.9, shrink=Shrink(stage=interval(0.3, 0.2, 0.4))
-)
-VERDICT = Verdict(
-    verdict="named",
-    where=Where(stage="pressure", share={"pressure": 0.81, "arm": 0.19}, regime="deflating, above 2 Hz"),
-    effects=(DEAD_TIME,),
-    gap=Gap(
+VERDICT = built(
+    "named",
+    DEAD_TIME,
+    stage="pressure",
+    share={"pressure": 0.81, "arm": 0.19},
+    regime="deflating, above 2 Hz",
+    gaps=gap(
         before=rms("kPa", pressure=1.2) | rms("m", arm=0.004, chain=0.02),
         after=rms("kPa", pressure=0.31) | rms("m", arm=0.004, chain=0.01),
         floor=rms("kPa", pressure=0.2) | rms("m", arm=0.003, chain=0.005),
@@ -140,23 +112,16 @@ def alike(effect, *equivalents):
 PAIR = alike(DEAD_TIME, "pressure.lag")
 
 
-NOTHING = Verdict(
-    verdict="none",
-    where=Where(stage=None, share={}, regime="nowhere"),
-    gap=Gap(
-        before=rms("kPa", pressure=0.1), after=rms("kPa", pressure=0.1), floor=rms("kPa", pressure=0.2), ceiling={}
-    ),
+QUIET = rms("kPa", pressure=0.1)
+NOTHING = built("none", regime="nowhere", gaps=gap(QUIET, QUIET, rms("kPa", pressure=0.2)))
+OWN_RIG = built(
+    "named",
+    DEAD_TIME.model_copy(update={"name": "axis.deadband"}),
+    stage="axis",
+    share={"axis": 1.0},
+    gaps=gap(rms("rad", axis=0.1), rms("rad", axis=0.05), rms("rad", axis=0.01)),
 )
-OWN_RIG = Verdict(
-    verdict="named",
-    where=Where(stage="axis", share={"axis": 1.0}, regime="throughout"),
-    effects=(DEAD_TIME.model_copy(update={"name": "axis.deadband"}),),
-    gap=Gap(before=rms("rad", axis=0.1), after=rms("rad", axis=0.05), floor=rms("rad", axis=0.01), ceiling={}),
-)
-SCALES = TrackingScales(
-    step_s=0.01, longest_s=20, late_s=0.1, reach=1, top=0.5, commanded=1, rise=1, fall=1, acceleration=10, noise=1e-3
-)
-AXIS = {effect.name: effect for effect in tracking_effects("axis", "rad", SCALES)}
+AXIS = vocabulary("axis")
 CASES = {
     "named": diagnosis(),
     "set": named(PAIR),
@@ -289,12 +254,7 @@ def test_an_effect_without_confidence_is_shown_as_not_rated():
 
 MANY = tuple(DEAD_TIME.model_copy(update={"name": f"joint{i % 6}.effect{i}"}) for i in range(26))
 WIDE = alike(DEAD_TIME, "pressure.lag", "pressure.deadband")
-STRONG = OTHER_DELAY.model_copy(
-    update={
-        "name": "rail.force_limit",
-        "parameters": {"force": Estimate(value=math.inf, low=20.0, high=math.inf, unit="N")},
-    }
-)
+STRONG = effect("rail.force_limit", force=(math.inf, 20.0, math.inf, "N"))
 
 
 @pytest.mark.parametrize(
@@ -369,13 +329,7 @@ def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_rest():
 
 
 def test_the_table_of_a_rig_explains_each_member_of_a_set():
-    of_a_set = DEAD_TIME.model_copy(
-        update={
-            "name": "axis.deadband",
-            "equivalents": ("axis.backlash",),
-            "parameters": {"width": Estimate(value=0.02, low=0.01, high=0.03, unit="rad")},
-        }
-    )
+    of_a_set = effect("axis.deadband", "axis.backlash", width=(0.02, 0.01, 0.03, "rad"))
     case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"effects": (of_a_set,)}))
     page = Page(report.render(case)).words
     for name in ("axis.deadband", "axis.backlash"):
@@ -401,17 +355,17 @@ def test_an_interval_has_the_digits_that_it_deserves(bounds, unit, says):
 
 
 def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
-    gap = Gap(before=rms("s", clock=0.0067), after=rms("s", clock=0.0067), floor=rms("s", clock=0.0012), ceiling={})
-    cause, sure, then = report.answer(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap})))
+    late = gap(rms("s", clock=0.0067), rms("s", clock=0.0067), rms("s", clock=0.0012))
+    cause, sure, then = report.answer(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": late})))
     assert cause == "No cause of a gap between robot and simulator was found on this data."
     assert "6.7 ms RMS; differences below 1.2 ms count as noise" in sure
     assert "no proof that the gap is zero" in sure
     assert "agree" not in cause + sure + then
     assert "Calibration" not in then
-    known = NOTHING.model_copy(update={"gap": gap, "calibration": (STIFFNESS,)})
-    gap.calibrated.update(rms("s", clock=0.0013))
+    known = NOTHING.model_copy(update={"gap": late, "calibration": (STIFFNESS,)})
+    late.calibrated.update(rms("s", clock=0.0013))
     assert "goes from 6.7 to 1.3 ms RMS, held out" in report.answer(replace(CASES["none"], verdict=known))[2]
-    assert headline(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap}))) == "No cause found"
+    assert headline(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": late}))) == "No cause found"
 
 
 @pytest.mark.parametrize(
@@ -500,20 +454,15 @@ def test_a_further_section_keeps_its_markup_and_escapes_its_title(tmp_path):
 
 
 def test_every_effect_of_the_arm_has_a_plain_sentence_with_its_size():
-    for effect in REGISTRY.values():
-        size = {p.name: Estimate(value=p.exemplar, low=p.low, high=p.high, unit=p.unit) for p in effect.parameters}
-        one = NamedEffect(name=effect.name, parameters=size, shrink=Shrink(stage=interval(0.5, 0.4, 0.6)))
-        text = headline(named(one))
-        assert effect.name not in text
-        assert text.lower() != effect.meaning.lower()
+    for known in REGISTRY.values():
+        sizes = {p.name: (p.exemplar, p.low, p.high, p.unit) for p in known.parameters}
+        text = headline(named(effect(known.name, **sizes)))
+        assert known.name not in text
+        assert text.lower() != known.meaning.lower()
         assert not re.search(r"[{}]", text)
-        assert re.search(r"\d", text) or not re.search("{(?!stage)", effect.plain), text
+        assert re.search(r"\d", text) or not re.search("{(?!stage)", known.plain), text
 
 
 def test_a_parameter_that_stays_neutral_leaves_the_meaning():
-    lag = NamedEffect(
-        name="pressure.lag",
-        parameters={"inflate": Estimate(value=0.1, low=0.1, high=0.1, unit="s")},
-        shrink=DEAD_TIME.shrink,
-    )
+    lag = effect("pressure.lag", inflate=(0.1, 0.1, 0.1, "s"))
     assert headline(named(lag)).lower() == REGISTRY["pressure.lag"].meaning
