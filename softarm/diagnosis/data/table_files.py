@@ -100,12 +100,14 @@ def readings(table: Table, name: str, *, blank: bool) -> Array:
     return _numbers(table, name, None, form, None, None, advice)
 
 
-def stamps(table: Table, about: Column, form: TableForm, segment: str | None) -> tuple[Array, bool | None]:
-    """Return a time column in seconds, [N], and whether its dates have time zones.
+def stamps(table: Table, about: Column, form: TableForm, segment: str | None) -> tuple[Array, bool | None] | None:
+    """Return a time column in seconds, [N], and whether its dates have time zones; None if the rows are counted.
 
     The second value is None if the cells are numbers, or dates of a Parquet file. Raises TrialError for an invalid
     column.
     """
+    if about.source == ROWS and ROWS not in table.columns:
+        return None
     raw = _find(table, _name(table, about.source, segment))
     texts = isinstance(raw, list) and any(instants.instant(cell) for cell in raw)
     dates = isinstance(raw, np.ndarray) and raw.dtype.kind == "M"
@@ -121,11 +123,6 @@ def stamps(table: Table, about: Column, form: TableForm, segment: str | None) ->
     if np.isnan(found).any():
         raise TrialError(f"{where}, row {table.place(int(np.argmax(np.isnan(found))))}: not a date; leave that row out")
     return found + about.add, None
-
-
-def is_counted(table: Table, about: Column) -> bool:
-    """Return whether the stamps of a table without a time column count its rows."""
-    return about.source == ROWS and ROWS not in table.columns
 
 
 def counted(about: Column, rows: int) -> Array:

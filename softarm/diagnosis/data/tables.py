@@ -99,7 +99,8 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         for name, channel in about.channels.items()
     }
     own = element or stage.name
-    effects = {effect.removeprefix(f"{own}."): of for effect, of in stage.effects.items() if _stage_of(effect) == own}
+    named = ((*effect.rpartition("."), of) for effect, of in stage.effects.items())
+    effects = {effect: of for mechanism, _, effect, of in named if mechanism == own}
     name = f"{recording.name}/{own}" if element or stage.several else recording.name
     return Trial(
         name,
@@ -111,10 +112,6 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         tuple(warnings),
         missing,
     )
-
-
-def _stage_of(effect: str) -> str:
-    return effect.rpartition(".")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +137,7 @@ def _rows(
             f"{table.path}: column {source} contains plain numbers, not lists; leave `elements` out, or name another "
             "column"
         )
-    is_counted = table_files.is_counted(table, channel.time)
-    stamps = None if is_counted else table_files.stamps(table, channel.time, form, segment)
+    stamps = table_files.stamps(table, channel.time, form, segment)
     columns = {n: table_files.column(table, column, form, segment, element) for n, column in channel.columns.items()}
     time, zoned = stamps or (table_files.counted(channel.time, len(next(iter(columns.values())))), None)
     warnings = []

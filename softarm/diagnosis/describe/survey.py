@@ -113,7 +113,7 @@ def survey(paths: Sequence[Path]) -> Survey:
             unused[f"{path.name}: {str(error).removeprefix(f'{path}: ')}"] += 1
             continue
         files += found
-    files = [_numbers_only(each) for each in files]
+    files = [replace(f, columns={k: raw for k, raw in f.columns.items() if _is_numeric(raw, f.comma)}) for f in files]
     for each in [each for each in files if len(each.columns) < 2]:
         unused[f"{each.path.name}: has no two columns of numbers"] += 1
         files.remove(each)
@@ -234,10 +234,6 @@ def _rows(source: str, values: Any) -> dict[Key, Any]:
     if values.ndim == 2 and values.shape[0] <= SIGNALS_MAX < values.shape[1]:
         return {(source, i, source.replace("{segment}", "")): row for i, row in enumerate(values)}
     return {}
-
-
-def _numbers_only(file: _File) -> _File:
-    return replace(file, columns={key: raw for key, raw in file.columns.items() if _is_numeric(raw, file.comma)})
 
 
 def _is_numeric(raw: Any, comma: bool) -> bool:

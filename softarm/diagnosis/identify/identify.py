@@ -1,7 +1,7 @@
 """System identification of the arm: regression of the paper, refinement by simulation, check on held-out trials."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
@@ -138,8 +138,7 @@ def identify(
     for m in checked:
         on_progress(f"check on {m.name}")
         checks.append(_check(fitted, m))
-    modelled = tuple(regression.modelled(refined.column, each) for each in smooth)
-    rmse = replace(first, modelled_nm=modelled).rmse_nm
+    rmse = regression.rmse_nm(refined.column, smooth, first.torque_nm)
     warnings += _doubts(model, refined, rmse, checks)
     names = tuple(m.name for m in motions)
     return Identification(fitted, names, smooth, first, rmse, refined, tuple(checks), tuple(warnings))

@@ -20,13 +20,7 @@ class Regression:
 
     column: Array  # [4 n] in bench.PARAMETERS order
     torque_nm: tuple[Array, ...]  # a trial each, [M, n], by inverse dynamics
-    modelled_nm: tuple[Array, ...]  # by the parameters
-
-    @property
-    def rmse_nm(self) -> float:
-        """Return the RMS torque error over all joints and samples, N m."""
-        errors = np.concatenate([t - m for t, m in zip(self.torque_nm, self.modelled_nm, strict=True)])
-        return float(np.sqrt(np.mean(errors**2)))
+    rmse_nm: float  # RMS torque error of the parameters over all joints and samples
 
     @property
     def range_nm(self) -> tuple[float, float]:
@@ -63,7 +57,13 @@ def fit(arm: Arm, motions: Sequence[Derivatives]) -> Regression:
     bounds = ([0.0, 0.0, -np.inf, -np.inf], [np.inf] * len(PARAMETERS))
     joints = np.array([lsq_linear(design[:, i], target[:, i], bounds).x for i in range(arm.links)])
     column = joints.T.ravel()
-    return Regression(column, tuple(torques), tuple(modelled(column, motion) for motion in motions))
+    return Regression(column, tuple(torques), rmse_nm(column, motions, torques))
+
+
+def rmse_nm(column: Array, motions: Sequence[Derivatives], torques: Sequence[Array]) -> float:
+    """Return the RMS difference of torques from those of given parameters, N m; column: [4 n]."""
+    errors = [torque - modelled(column, motion) for torque, motion in zip(torques, motions, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
 def modelled(column: Array, motion: Derivatives) -> Array:

@@ -44,8 +44,7 @@ def frequencies(diagnosis: Diagnosis) -> Html:
         ]
     if diagnosis.regimes:
         stage = diagnosis.verdict.where.stage
-        shown, rest = _split(diagnosis.regimes, lambda regime: regime.stage == stage)
-        parts += [el("h3", "By regime"), _regimes(shown), *_folded("other stages", rest, _regimes)]
+        parts += [el("h3", "By regime"), *_folded(diagnosis.regimes, lambda regime: regime.stage == stage, _regimes)]
     return join(parts) if parts else el("p", "No spectra were computed.", class_="none")
 
 
@@ -55,17 +54,12 @@ def _spectrum(of: Spectrum) -> Html | None:
     return charts.spectrum(of.frequency_hz, curves, of.floor, text)
 
 
-def _split(rows: Sequence[Row], first: Callable[[Row], bool]) -> tuple[list[Row], list[Row]]:
-    """Return the rows to show and the rows to fold: all of a few, or the rows of the diagnosed stage."""
-    shown = [row for row in rows if first(row)]
-    if len(rows) <= _AT_ONCE or not shown:
-        return list(rows), []
-    return shown, [row for row in rows if not first(row)]
-
-
-def _folded(what: str, rows: Sequence[Row], draw: Callable[[Sequence[Row]], Html]) -> list[Html]:
-    """Return a collapsed table of further rows, or an empty list."""
-    return [el("details", el("summary", f"{what}: {len(rows)} more rows"), draw(rows))] if rows else []
+def _folded(rows: Sequence[Row], is_first: Callable[[Row], bool], draw: Callable[[Sequence[Row]], Html]) -> list[Html]:
+    """Return a table of all rows, or of many rows those of the diagnosed stage and a collapsed table of the others."""
+    shown, rest = [row for row in rows if is_first(row)], [row for row in rows if not is_first(row)]
+    if len(rows) <= _AT_ONCE or not shown or not rest:
+        return [draw(rows)]
+    return [draw(shown), el("details", el("summary", f"other stages: {len(rest)} more rows"), draw(rest))]
 
 
 def _regimes(regimes: Sequence[Regime]) -> Html:
@@ -103,12 +97,12 @@ def contenders(diagnosis: Diagnosis) -> Html:
         return el("div", table(head, [_rival(diagnosis, rival, forest) for rival in rivals], caption), class_="rivals")
 
     stage = diagnosis.verdict.where.stage
-    shown, rest = _split(diagnosis.rivals, lambda rival: rival.name.startswith(f"{stage}."))
     text = (
         "Alone, a wrong effect can fit as well as the right one. The second figure decides: the gain of an effect "
         "next to the named ones, with its 95 % interval. An interval that excludes zero is a real gain."
     )
-    return join([el("p", prose(text)), drawn(shown), *_folded("other stages", rest, drawn)])
+    tables = _folded(diagnosis.rivals, lambda rival: rival.name.startswith(f"{stage}."), drawn)
+    return join([el("p", prose(text)), *tables])
 
 
 def _rival(diagnosis: Diagnosis, rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
