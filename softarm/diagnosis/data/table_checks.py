@@ -12,7 +12,7 @@ import numpy as np
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.still_checks import Columns, compared_columns
-from softarm.diagnosis.data.trials import Array, Series, TableStage, Trial, TrialError, stage_of
+from softarm.diagnosis.data.trials import Array, Series, TableStage, TableUnit, Trial, TrialError, stage_of
 from softarm.schemas.stage_model import StageKind
 from softarm.schemas.trial import Column, TableChannel
 
@@ -215,10 +215,7 @@ def _slips(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool,
         f"({at('command', 'command')})"
     )
     measured, command = stage.units["measured"][name], stage.units["command"]["command"]
-    likely = _either(
-        _meant(measured.factor / ratio, measured.standard, name),
-        _meant(command.factor * ratio, command.standard, "command"),
-    )
+    likely = _likely((measured, 1 / ratio, name), (command, ratio, "command"))
     levels = [float(np.mean(x)) for x in (seen, expected)]
     same_level = levels[1] and abs(levels[1]) > 0.3 * spread[1]
     slipped = abs(levels[0] / levels[1] / ratio - 1) < 2 * ALIKE if same_level else ratio < 1 / SWING_SURE
@@ -250,15 +247,15 @@ def _pushed(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
         )
 
 
-def _meant(of_one: float, standard: str, name: str) -> str:
-    """Name the known unit with this factor; empty if there is none."""
-    known = {standard: 1.0, **UNITS.get(standard, {})} if standard != PURE else {"%": 0.01, "1": 1.0}
-    found = sorted((unit for unit, each in known.items() if abs(of_one / each - 1) < ALIKE), key=len)
-    return f"{name} looks like {found[0]}" if found else ""
-
-
-def _either(*likely: str) -> str:
-    return " or ".join(filter(None, likely))
+def _likely(*columns: tuple[TableUnit, float, str]) -> str:
+    """Name the unit that each column (declared unit, ratio to the true unit, name) seems to have; maybe empty."""
+    found = []
+    for declared, ratio, name in columns:
+        own = {declared.standard: 1.0, **UNITS.get(declared.standard, {})}
+        known = own if declared.standard != PURE else {"%": 0.01, "1": 1.0}
+        alike = [unit for unit, each in known.items() if abs(declared.factor * ratio / each - 1) < ALIKE]
+        found += [f"{name} looks like {min(alike, key=len)}"] if alike else []
+    return " or ".join(found)
 
 
 def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool, str]]:
@@ -277,10 +274,7 @@ def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool
         likely = (
             "one of the two has the opposite sign"
             if abs(ratio + 1) <= SLOPE_TOLERANCE
-            else _either(
-                _meant(units[place].factor * ratio, units[place].standard, place),
-                _meant(units[rate].factor / ratio, units[rate].standard, rate),
-            )
+            else _likely((units[place], ratio, place), (units[rate], 1 / ratio, rate))
         )
         yield (
             bool(likely),

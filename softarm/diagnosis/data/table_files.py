@@ -19,7 +19,7 @@ from softarm.common.quantity import factor
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data import instants
 from softarm.diagnosis.data.trials import Array, TrialError
-from softarm.schemas.trial import Column, TableForm
+from softarm.schemas.trial import Column, Marks, TableForm
 
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 _DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " "}
@@ -36,9 +36,10 @@ class Table:
 
     path: Path
     columns: Mapping[str, Any]  # texts of a text table, otherwise arrays; .mat: nested like its variables
-    rows: Sequence[int] | None  # line of each row of a text table
-    named: bool  # False for a text table without a header; its columns are called 1, 2, ...
-    comma: bool  # whether a decimal comma may occur
+    missing: Marks
+    rows: Sequence[int] | None = None  # line of each row of a text table
+    named: bool = True  # False for a text table without a header; its columns are called 1, 2, ...
+    comma: bool = False  # whether a decimal comma may occur
 
     def place(self, index: int) -> int:
         """Return the row number for messages: the line of a text table, otherwise counted from 1."""
@@ -58,9 +59,9 @@ def load(path: Path, form: TableForm) -> Table:
 
             table = parquet.read_table(path)
             _check_size(path, table.column_names, table.num_rows)
-            return Table(path, {name: table[name].to_numpy() for name in table.column_names}, None, True, False)
+            return Table(path, {name: table[name].to_numpy() for name in table.column_names}, form.missing)
         if suffix == ".mat":
-            return Table(path, _matlab(path), None, True, False)
+            return Table(path, _matlab(path), form.missing)
     except TrialError:
         raise
     except Exception as error:  # a damaged file may make its library raise anything
@@ -70,16 +71,16 @@ def load(path: Path, form: TableForm) -> Table:
     raise TrialError(f"{path}: tables are {', '.join(TEXT)}, .parquet or .mat; export it as one of these")
 
 
-def column(table: Table, about: Column, form: TableForm, segment: str | None, element: int | None) -> Array:
-    """Return a column in its standard unit, [N]; NaN where a cell has one of the form's marks for a missing value.
+def column(table: Table, about: Column, segment: str | None, element: int | None) -> Array:
+    """Return a column in its standard unit, [N]; NaN where a cell has one of the marks for a missing value.
 
     segment replaces {segment} in the source; element is the index into cells that contain lists. Raises TrialError if
     the column does not exist or contains anything but numbers.
     """
-    form = _form_of(about, form)
-    values = _numbers(table, about.source, about.row, form, segment, element)
+    marks = _marks(table, about)
+    values = _numbers(table, about.source, about.row, marks, segment, element)
     for source in about.minus:
-        other = _numbers(table, source, about.row, form, segment, element)
+        other = _numbers(table, source, about.row, marks, segment, element)
         if len(other) != len(values):
             raise TrialError(
                 f"{table.path}: column {source} has {len(other)} rows, {about.source} {len(values)}; "
@@ -95,12 +96,11 @@ def readings(table: Table, name: str, *, blank: bool) -> Array:
 
     Raises TrialError with file, column and row if a cell is not a finite number.
     """
-    form = TableForm(missing=("", "nan") if blank else ())
     advice = "write nothing where a marker was not tracked" if blank else "leave the row out if nothing was measured"
-    return _numbers(table, name, None, form, None, None, advice)
+    return _numbers(table, name, None, ("", "nan") if blank else (), None, None, advice)
 
 
-def stamps(table: Table, about: Column, form: TableForm, segment: str | None) -> tuple[Array, bool | None] | None:
+def stamps(table: Table, about: Column, segment: str | None) -> tuple[Array, bool | None] | None:
     """Return a time column in seconds, [N], and whether its dates have time zones; None if the rows are counted.
 
     The second value is None if the cells are numbers, or dates of a Parquet file. Raises TrialError for an invalid
@@ -112,12 +112,12 @@ def stamps(table: Table, about: Column, form: TableForm, segment: str | None) ->
     texts = isinstance(raw, list) and any(instants.instant(cell) for cell in raw)
     dates = isinstance(raw, np.ndarray) and raw.dtype.kind == "M"
     if not texts and not dates:
-        return column(table, about, form, segment, None), None
+        return column(table, about, segment, None), None
     where = f"{table.path}: column {about.source}"
     if about.unit != "s" or about.scale != 1.0 or about.minus:
         raise TrialError(f"{where}: contains dates with a time of day; write only `unit: s`")
     if texts:
-        found, zoned = instants.seconds(raw, _missing(_form_of(about, form), table.comma), table.place, where)
+        found, zoned = instants.seconds(raw, _missing(_marks(table, about), table.comma), table.place, where)
         return found + about.add, zoned
     found = (raw - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     if np.isnan(found).any():
@@ -130,9 +130,8 @@ def counted(about: Column, rows: int) -> Array:
     return np.asarray(np.arange(rows) * (about.scale * factor(about.unit)[0]) + about.add)
 
 
-def _form_of(about: Column, form: TableForm) -> TableForm:
-    """Return the form of a table with the marks of one column."""
-    return form if about.missing is None else form.model_copy(update={"missing": about.missing})
+def _marks(table: Table, about: Column) -> Marks:
+    return table.missing if about.missing is None else about.missing
 
 
 def holds_lists(table: Table, about: Column, segment: str | None) -> bool:
@@ -164,7 +163,8 @@ def _text(path: Path, form: TableForm) -> Table:
             )
     rows = [row for row, _ in body]
     columns = {name: _cells(path, name, rows, [line[i] for _, line in body]) for i, name in enumerate(names)}
-    return Table(path, columns, rows, header, form.decimal == "," or (form.decimal is None and delimiter != ","))
+    comma = form.decimal == "," or (form.decimal is None and delimiter != ",")
+    return Table(path, columns, form.missing, rows, header, comma)
 
 
 def _check_size(path: Path, names: Sequence[str], rows: int) -> None:
@@ -267,7 +267,7 @@ def _numbers(
     table: Table,
     source: str | int,
     row: int | None,
-    form: TableForm,
+    marks: Marks,
     segment: str | None,
     element: int | None,
     advice: str = "",
@@ -275,9 +275,9 @@ def _numbers(
     """Unconverted values of a source, [N]; NaN where a value is missing."""
     name = _name(table, source, segment)
     raw = _find(table, name)
-    missing = _missing(form, table.comma)
+    missing = _missing(marks, table.comma)
     if isinstance(raw, list):
-        return _texts(table, name, raw, missing, bool(form.missing), advice)
+        return _texts(table, name, raw, missing, bool(marks), advice)
     values = np.asarray(raw)
     if values.dtype == object and element is not None:  # lists in a column
         values = np.array([_element(table, name, i, cell, element) for i, cell in enumerate(values)])
@@ -296,7 +296,7 @@ def _numbers(
         raise TrialError(f"{table.path}: {name} has the shape {values.shape}; choose one of its rows with `row`")
     if not values.size:
         raise TrialError(f"{table.path}: column {name} is empty; name another, or leave this trial out")
-    gone = np.array([missing(value) for value in values.tolist()]) if form.missing else np.zeros(len(values), bool)
+    gone = np.array([missing(value) for value in values.tolist()]) if marks else np.zeros(len(values), bool)
     if (bad := np.flatnonzero(~np.isfinite(values) & ~gone)).size:
         row_text = f"row {table.place(bad[0])}: {values[bad[0]]} is not a finite number"
         every = "every row is nan" if len(bad) == len(values) else row_text
@@ -305,10 +305,10 @@ def _numbers(
     return np.where(gone, np.nan, values)
 
 
-def _missing(form: TableForm, comma: bool) -> Callable[[str | float], bool]:
-    """Return a test for the form's marks for missing values: the same text, or the same number."""
-    texts = {str(mark).strip().lower() for mark in form.missing}
-    numbers = {value for mark in form.missing if (value := number(str(mark), False)) is not None}
+def _missing(marks: Marks, comma: bool) -> Callable[[str | float], bool]:
+    """Return a test for marks of missing values: the same text, or the same number."""
+    texts = {str(mark).strip().lower() for mark in marks}
+    numbers = {value for mark in marks if (value := number(str(mark), False)) is not None}
     nan = any(math.isnan(value) for value in numbers)
 
     def missing(cell: str | float) -> bool:
@@ -326,7 +326,7 @@ def _missing(form: TableForm, comma: bool) -> Callable[[str | float], bool]:
 def _texts(
     table: Table, name: str, cells: Sequence[str], missing: Callable[[str | float], bool], marks: bool, advice: str
 ) -> Array:
-    """Texts as numbers, [N]; `marks`: whether the form has marks for missing values."""
+    """Texts as numbers, [N]; `marks`: whether a cell may be a mark of a missing value."""
     try:
         values = np.array(cells, dtype=float)
         if np.isfinite(values).all() and not (marks and any(map(missing, values.tolist()))):

@@ -15,7 +15,7 @@ from softarm.diagnosis.data.still_checks import Columns
 from softarm.diagnosis.data.table_files import Table
 from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial, TrialError, stage_of
 from softarm.schemas.stage_model import ModelValue
-from softarm.schemas.trial import Mechanism, TableChannel, TableForm
+from softarm.schemas.trial import Mechanism, TableChannel
 
 # Number of mistakes that are listed; the others are counted.
 MISTAKES_SHOWN = 20
@@ -80,7 +80,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         if path not in loaded:
             loaded[path] = table_files.load(path, stage.form)
         place = about.elements.get(element)
-        read[name], found, zone = _rows(loaded[path], channel, stage.form, recording.segment, place)
+        read[name], found, zone = _rows(loaded[path], channel, recording.segment, place)
         zoned.setdefault(zone, f"{path}: column {channel.time.source}")
         warnings += found
     for name, rows in _within(read, recording).items():
@@ -128,7 +128,7 @@ class _Rows:
 
 
 def _rows(
-    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None
+    table: Table, channel: TableChannel, segment: str | None, element: int | None
 ) -> tuple[_Rows, list[str], bool | None]:
     """Rows of a channel with a reading in every column, warnings about the others, and the time zones of its stamps."""
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
@@ -137,8 +137,8 @@ def _rows(
             f"{table.path}: column {source} contains plain numbers, not lists; leave `elements` out, or name another "
             "column"
         )
-    stamps = table_files.stamps(table, channel.time, form, segment)
-    columns = {n: table_files.column(table, column, form, segment, element) for n, column in channel.columns.items()}
+    stamps = table_files.stamps(table, channel.time, segment)
+    columns = {n: table_files.column(table, column, segment, element) for n, column in channel.columns.items()}
     time, zoned = stamps or (table_files.counted(channel.time, len(next(iter(columns.values())))), None)
     warnings = []
     keep = np.isfinite(time)
