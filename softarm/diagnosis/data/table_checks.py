@@ -268,7 +268,8 @@ def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool
         if not {place, rate} <= measured.columns.keys():
             continue
         ratio = _slope_ratio(measured.t_s, measured[place], measured[rate])
-        if ratio is None or abs(ratio - 1) <= SLOPE_TOLERANCE:
+        # `still_checks` reports a rate that is zero in every row.
+        if not ratio or abs(ratio - 1) <= SLOPE_TOLERANCE:
             continue
         units = stage.units["measured"]
         likely = (

@@ -278,6 +278,12 @@ def test_a_position_that_no_force_explains_is_reported(tmp_path):
     assert re.search(r"column x: position accelerates by 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
 
 
+def test_a_velocity_of_zero_in_every_row_is_a_dead_sensor(tmp_path):
+    cart(tmp_path)
+    (tmp_path / "cart.csv").write_text(table("t,i,x,v", T, np.sin(3 * T), np.sin(3 * T), 0 * T))
+    assert "column v: velocity is 0 mm/s in every row; a dead sensor" in refusal(tmp_path / "stage.yaml")
+
+
 PENDULUM = """
 name: joint
 kind: pendulum
