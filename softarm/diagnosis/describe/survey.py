@@ -119,19 +119,17 @@ def survey(paths: Sequence[Path]) -> Survey:
         files.remove(each)
     if not files:
         raise TrialError("\n".join([f"{paths[0]}: no file has two columns of numbers; name others", *_counted(unused)]))
-    groups = _groups(files)
-    recordings, members = _recordings(groups)
-    paired = {id(file) for each in members for file in each.values()}
-    for each in [file for group in groups for file in group if id(file) not in paired]:
+    members, alone = _paired(files)
+    for each in alone:
         unused[f"{each.path.name}: has no file with the other columns"] += 1
-    count = Counter(key for group in groups for key in group[0].columns)
+    count = Counter(key for file in members[0].values() for key in file.columns)
     signals = []
-    for k, group in enumerate(groups):
-        for key in group[0].columns:
+    for k, file in members[0].items():
+        for key in file.columns:
             label = str(key[0]) if key[1] is None else f"{key[0]}#{key[1]}"
-            label = label if count[key] == 1 else f"{members[0][k].path.stem}:{label}"
-            signals.append(_signal(k, key, label, [each[k].columns[key] for each in members], members[0][k].comma))
-    return Survey(recordings, tuple(signals), form, tuple(_counted(unused)))
+            label = label if count[key] == 1 else f"{file.path.stem}:{label}"
+            signals.append(_signal(k, key, label, [each[k].columns[key] for each in members], file.comma))
+    return Survey(_recordings(members), tuple(signals), form, tuple(_counted(unused)))
 
 
 def _counted(reasons: Mapping[str, int]) -> list[str]:
@@ -247,19 +245,27 @@ def _is_numeric(raw: Any, comma: bool) -> bool:
     return raw.dtype.kind in "fiubM"
 
 
-def _groups(files: Sequence[_File]) -> list[list[_File]]:
-    """Files with the same columns; if no recording has several of them, their common columns form one group."""
+def _paired(files: Sequence[_File]) -> tuple[list[dict[int, _File]], list[_File]]:
+    """Files of each recording by the group of files with the same columns, and the files without a partner.
+
+    If no recording has files of several groups, the common columns of all files form one group.
+    """
     found: dict[tuple[object, ...], list[_File]] = {}
     for file in files:
         found.setdefault(tuple(file.columns), []).append(file)
     groups = list(found.values())
+    if len(groups) == 1:
+        return [{0: file} for file in files], []
     common = [key for key in groups[0][0].columns if all(key in each.columns for each in files)]
-    if len(groups) > 1 and (_keys(groups) is None or len(common) >= _SHARED_LEAST):
+    keyed = _keys(groups)
+    if keyed is None or len(common) >= _SHARED_LEAST:
         if len(common) < 2:
             named = "; ".join(f"{g[0].path}: {', '.join(str(key[0]) for key in g[0].columns)}" for g in groups)
             raise TrialError(f"files with different columns do not pair up: {named}; name the files of one form")
-        return [[replace(file, columns={key: file.columns[key] for key in common}) for file in files]]
-    return groups
+        return [{0: replace(file, columns={key: file.columns[key] for key in common})} for file in files], []
+    both = [key for key in keyed[0] if all(key in other for other in keyed)]
+    alone = [file for own in keyed for key, file in own.items() if key not in both]
+    return [{k: own[key] for k, own in enumerate(keyed)} for key in both], alone
 
 
 def _keys(groups: Sequence[Sequence[_File]]) -> list[dict[str, _File]] | None:
@@ -297,15 +303,9 @@ def common_start(texts: Sequence[str]) -> str:
     return low[: next((i for i, (a, b) in enumerate(zip(low, high, strict=False)) if a != b), len(low))]
 
 
-def _recordings(groups: Sequence[Sequence[_File]]) -> tuple[tuple[Recorded, ...], list[dict[int, _File]]]:
-    """Recordings and their files by group."""
-    if len(groups) == 1:
-        members = [{0: file} for file in groups[0]]
-    else:
-        keyed = _keys(groups) or []
-        both = [key for key in keyed[0] if all(key in other for other in keyed)]
-        members = [{k: own[key] for k, own in enumerate(keyed)} for key in both]
-    names = [_name(each, len(groups) > 1) for each in members]
+def _recordings(members: Sequence[Mapping[int, _File]]) -> tuple[Recorded, ...]:
+    """Recordings with a name of their own and their files by group."""
+    names = [_name(each) for each in members]
     count = Counter(names)
     found: list[Recorded] = []
     for name, each in zip(names, members, strict=True):
@@ -314,14 +314,14 @@ def _recordings(groups: Sequence[Sequence[_File]]) -> tuple[tuple[Recorded, ...]
         own = own if all(each.name != own for each in found) else f"{own}-{len(found) + 1}"
         files = {k: f.path for k, f in each.items()}
         found.append(Recorded(own, kind_of(name if file.segment is None else file.path.stem), files, file.segment))
-    return tuple(found), members
+    return tuple(found)
 
 
-def _name(files: Mapping[int, _File], paired: bool) -> str:
+def _name(files: Mapping[int, _File]) -> str:
     path, segment = files[0].path, files[0].segment
     if segment is not None:
         return f"{path.stem}-{segment.translate(str.maketrans('[', '-', ']'))}"
-    if not paired:
+    if len(files) == 1:
         return path.stem
     names = [file.path.stem for file in files.values()]
     common = common_start(names)
