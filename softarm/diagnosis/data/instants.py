@@ -23,6 +23,11 @@ def instant(cell: str) -> datetime | None:
         return None
 
 
+def unix_s(moment: datetime) -> float:
+    """Return a date and time in seconds since 1970 UTC."""
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
 def seconds(
     cells: Sequence[str], missing: Callable[[str | float], bool], place: Callable[[int], int], where: str
 ) -> tuple[Array, bool]:
@@ -41,7 +46,7 @@ def seconds(
                 f"{where}, row {place(i)}: {cell!r} is not a date and time like the others; repair that row"
             )
         zones.setdefault(read.tzinfo is not None, i)
-        found[i] = (read if read.tzinfo else read.replace(tzinfo=UTC)).timestamp()
+        found[i] = unix_s(read)
     if len(zones) > 1:
         raise TrialError(
             f"{where}: row {place(zones[True])} has a time zone ({cells[zones[True]].strip()}), row "

@@ -48,7 +48,7 @@ def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[
 
     The trials are compared, because one without motion means little on its own.
     """
-    moved = [{name: _spread(t.channels["measured"][name]) for name in compared_columns(t)} for t, _ in checked]
+    moved = [{name: spread(t.channels["measured"][name]) for name in compared_columns(t)} for t, _ in checked]
     driven = [_driven(t) for t, _ in checked]
     largest = {name: max(each.get(name, 0.0) for each in moved) for each in moved for name in each}
     kept: list[Trial] = []
@@ -64,7 +64,7 @@ def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[
             else:
                 mistakes.append(f"{text}; leave the trial out")
             continue
-        for name in (name for name, spread in spreads.items() if not spread):
+        for name in (name for name, extent in spreads.items() if not extent):
             pushes = [d[1] for each, d in zip(moved, driven, strict=True) if d is not None and each.get(name)]
             value = f"{name} is {at.reading('measured', name, measured[name][0])} in every row"
             if drive is not None and pushes and drive[1] < SMALL * max(pushes):
@@ -79,7 +79,7 @@ def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[
             text = f"the {drive[0]} is {value} in every row, but the measured values change"
             warnings.append(f"{at(drive[0], column)}: {text}; correct the column, or leave this trial out")
         for name, values in measured.columns.items():
-            if name not in spreads and not _spread(values):
+            if name not in spreads and not spread(values):
                 value = at.reading("measured", name, values[0])
                 warnings.append(f"{at('measured', name)}: {name} is {value} in every row; leave the column out")
         kept.append(replace(trial, warnings=tuple(warnings)))
@@ -99,12 +99,12 @@ def compared_columns(trial: Trial) -> tuple[str, ...]:
 def _driven(trial: Trial) -> tuple[str, float] | None:
     """Driving channel of a trial and its range, or None without one."""
     name = next((name for name in DRIVES if name in trial.channels), None)
-    return None if name is None else (name, max(map(_spread, trial.channels[name].columns.values())))
+    return None if name is None else (name, max(map(spread, trial.channels[name].columns.values())))
 
 
-def _spread(values: Array) -> float:
-    """Range of a column; 0 if its values differ only in their last digits."""
+def spread(values: Array) -> float:
+    """Return the range of a column; 0 if its values differ only in their last digits."""
     if not len(values):
         return 0.0
-    spread, size = float(np.ptp(values)), float(np.max(np.abs(values)))
-    return spread if spread > 1e-12 * size else 0.0
+    extent, size = float(np.ptp(values)), float(np.max(np.abs(values)))
+    return extent if extent > 1e-12 * size else 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from softarm.diagnosis.data import instants, table_files
 from softarm.diagnosis.data.stage_file import kind_of
+from softarm.diagnosis.data.still_checks import spread
 from softarm.diagnosis.data.trials import Array, TrialError
 from softarm.diagnosis.describe import headers
 from softarm.diagnosis.describe.headers import Header
@@ -67,7 +68,7 @@ class Signal:
     @property
     def is_constant(self) -> bool:
         """Return whether no reading differs from the first."""
-        return not len(self.all) or float(np.ptp(self.all)) <= 1e-12 * float(np.max(np.abs(self.all)))
+        return not spread(self.all)
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +362,7 @@ def _texts(cells: Sequence[str], comma: bool) -> tuple[Array, list[str]]:
     """Texts as numbers, and the texts that are none."""
     read = [table_files.number(cell, comma) for cell in cells]
     if all(each is None for each in read[:3]) and any(instants.instant(cell) for cell in cells[:3]):
-        read = [None if (at := instants.instant(cell)) is None else at.timestamp() for cell in cells]
+        read = [None if (at := instants.instant(cell)) is None else instants.unix_s(at) for cell in cells]
     gone = {cell.strip() for cell, value in zip(cells, read, strict=True) if value is None or not np.isfinite(value)}
     values = np.array([np.nan if each is None else each for each in read], dtype=float)
     return np.where(np.isfinite(values), values, np.nan), sorted(gone)[:MARKS_MAX]

@@ -1,5 +1,7 @@
 """Survey of recordings: files that belong together, columns, marks of missing values."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -161,6 +163,20 @@ def test_parquet_dates_lists_and_gaps_are_read(tmp_path, servo):
     assert at.dates
     assert (cmd.elements, seen.elements) == (2, 0)
     np.testing.assert_allclose(cmd.values[0], u)
+
+
+def test_dates_without_a_time_zone_are_not_local_times(tmp_path, monkeypatch):
+    """The stamps cross the end of summer time in Berlin."""
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    rows = (f"2026-10-25T02:59:{30 + k / 2:04.1f},{k % 7}" for k in range(60))
+    (tmp_path / "run.csv").write_text("\n".join(["t,u", *rows, "2026-10-25T03:00:00.0,1", ""]))
+    try:
+        stamps = survey([tmp_path]).signals[0].values[0]
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    np.testing.assert_allclose(np.diff(stamps), 0.5)
 
 
 @pytest.mark.parametrize(
