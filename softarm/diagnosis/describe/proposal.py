@@ -1,7 +1,7 @@
 """Proposal of a stage file: what the recordings show, what the user has answered, and what is still unknown."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -79,9 +79,9 @@ class Proposal:
 class Unknown(Exception):
     """Questions that the user must answer first."""
 
-    def __init__(self, questions: Iterable[Question]) -> None:
-        self.questions = tuple(questions)
-        super().__init__(", ".join(q.option for q in self.questions))
+    def __init__(self, *questions: Question) -> None:
+        self.questions = questions
+        super().__init__(", ".join(q.option for q in questions))
 
 
 def propose(survey: Survey, answers: Answers) -> Proposal:
@@ -147,16 +147,15 @@ class _Draft:
         if not all(found.values()):
             falling = [s.label for s in self.survey.signals if s.header.role == "time" and not found[s.group]]
             why = f"{', '.join(falling)} does not rise" if falling else "no column holds the time"
-            raise Unknown([Question("--rate", "", f"rows a second, since {why}")])
+            raise Unknown(Question("--rate", "", f"rows a second, since {why}"))
         return found
 
     def _clock(self, signal: Signal) -> Clock:
         times = self.times[signal.group]
         found = clocks.of(signal, times, self.units, self.answers.rate_hz)
         if not found.unit and (time := found.signal) is not None:
-            raise Unknown(
-                [Question("--unit", f"{time.label}=", f"unit of the time in {time.label}", ("s", *UNITS["s"]))]
-            )
+            text = f"unit of the time in {time.label}"
+            raise Unknown(Question("--unit", f"{time.label}=", text, ("s", *UNITS["s"])))
         return found
 
     # Kind and roles
@@ -168,7 +167,7 @@ class _Draft:
         if not sure and self.answers.command and self.answers.measured:
             sure = kind == "tracking"
         if not sure:
-            raise Unknown([Question("--kind", "", f"kind of mechanism ({why})", tuple(MODEL_KEYS), kind)])
+            raise Unknown(Question("--kind", "", f"kind of mechanism ({why})", tuple(MODEL_KEYS), kind))
         return kind, why
 
     def _role(self, signal: Signal) -> str:
@@ -214,7 +213,7 @@ class _Draft:
         if not measured:
             questions.append(_choice("--measured", "column of the measured output", outputs or rest, outputs))
         if questions:
-            raise Unknown(questions)
+            raise Unknown(*questions)
         lag, share = clocks.lead(command[0], measured[0], self.by_group)
         what = (
             f"the first leads by {lag:.3g} s"
@@ -259,21 +258,19 @@ class _Draft:
         if not measured:
             measured = [s for s in found if self._role(s) != "command"] or found
         if not measured:
-            raise Unknown([_choice("--measured", "columns of the measured output, separated by commas", rest, found)])
+            raise Unknown(_choice("--measured", "columns of the measured output, separated by commas", rest, found))
         if not given.measured and kind != "driven_mass":
             measured += self._rates(measured)
         chosen = {"measured": measured}
         if kind != "pendulum":
             count = len([s for s in measured if self.standard(s) == "rad"]) if kind == "chain" else 1
             command = [self._named(text, "--command") for text in given.command]
-            command = command or next(
-                (some for role in ("measured", "command", "") if len(some := self._with(pushes, role)) == count),
-                pushes if len(pushes) == count else [],
-            )
+            by_role = [[s for s in pushes if self._role(s) == role] for role in ("measured", "command", "")]
+            command = command or next((some for some in (*by_role, pushes) if len(some) == count), [])
             if command:
                 chosen = {drive: sorted(command, key=_natural) if not given.command else command, **chosen}
             elif kind == "driven_mass" or pushes:
-                raise Unknown([_choice("--command", f"column of the {drive}", rest, pushes)])
+                raise Unknown(_choice("--command", f"column of the {drive}", rest, pushes))
         if kind != "driven_mass":
             carts = [s for s in self.moving if self.standard(s) == "m" and s not in measured]
             base = [self._named(given.base, "--base")] if given.base else carts if len(carts) == 1 else []
@@ -285,9 +282,6 @@ class _Draft:
         units = {s.label: (unit, "") for s in places if (unit := self.units.get(s.label) or s.header.unit)}
         rest = [s for s in self.moving if s not in places and not (s.header.unit or self.units.get(s.label))]
         return sorted((s for s in rest if self._of_slope(s, places, units)), key=_natural)
-
-    def _with(self, signals: Sequence[Signal], role: str) -> list[Signal]:
-        return [s for s in signals if self._role(s) == role]
 
     # Units
 
@@ -303,15 +297,10 @@ class _Draft:
             if signal.label not in units and (known := self._of_slope(signal, columns, units)):
                 units[signal.label] = known
         if unknown := [s for s in columns if s.label not in units]:
-            raise Unknown(
-                Question(
-                    "--unit",
-                    f"{s.label}=",
-                    f"unit of {s.label}, which goes from {s.all.min():.4g} to {s.all.max():.4g}",
-                    likely=_likely_unit(s, self.standard(s)),
-                )
-                for s in unknown
-            )
+            ranges = [f"unit of {s.label}, which goes from {s.all.min():.4g} to {s.all.max():.4g}" for s in unknown]
+            likely = [_likely_unit(s, self.standard(s)) for s in unknown]
+            asked = zip(unknown, ranges, likely, strict=True)
+            raise Unknown(*(Question("--unit", f"{s.label}=", text, (), usual) for s, text, usual in asked))
         found: dict[str, dict[str, Use]] = {}
         for channel, signals in chosen.items():
             own = found.setdefault(channel, {})
@@ -349,7 +338,7 @@ class _Draft:
             return None
         if self.answers.angles is None:
             text = "angles are measured from the vertical (absolute) or from the link before (relative)"
-            raise Unknown([Question("--angles", "", text, ("absolute", "relative"))])
+            raise Unknown(Question("--angles", "", text, ("absolute", "relative")))
         return self.answers.angles
 
     def _model(self, kind: StageKind, links: int, uses: Mapping[str, Mapping[str, Use]]) -> dict[str, ModelValue]:
@@ -373,16 +362,10 @@ class _Draft:
             needed += [mass] * (mass not in model)
             needed += ["gain"] * ("force" not in units and "gain" not in model)
         if needed:
-            raise Unknown(
-                Question(
-                    "--nominal",
-                    f"{name}=",
-                    _about(name, per or known[name].unit, known[name].meaning, links),
-                    (),
-                    likely,
-                )
-                for name in needed
-            )
+            each = f" ({links} numbers, separated by commas)" if links > 1 else ""
+            texts = [f"of your simulator, {per or known[name].unit}: {known[name].meaning}{each}" for name in needed]
+            asked = zip(needed, texts, strict=True)
+            raise Unknown(*(Question("--nominal", f"{name}=", f"{name} {text}", (), likely) for name, text in asked))
         plain = dict[object, object](model.items())
         if wrong := [f"--nominal {key}: {text}" if key else text for key, text in complaints(kind, plain, links)]:
             raise TrialError("\n".join(wrong))
@@ -409,11 +392,6 @@ def _check_units(survey: Survey, given: Mapping[str, str]) -> None:
             labels = [s.label for s in survey.signals]
             near = did_you_mean(name, labels)
             raise TrialError(f"--unit {name}={unit}: no such column; {near}allowed {', '.join(labels)}; name one")
-
-
-def _about(name: str, unit: str, meaning: str, links: int) -> str:
-    each = f" ({links} numbers, separated by commas)" if links > 1 else ""
-    return f"{name} of your simulator, {unit}: {meaning}{each}"
 
 
 def _value(key: str, text: str) -> ModelValue:

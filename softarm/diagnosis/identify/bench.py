@@ -41,9 +41,7 @@ class Bench:
     """Robots with different arms under one measured input."""
 
     def __init__(self, arm: Arm, columns: Array) -> None:
-        """Create one robot per row of `columns`, [R, 4 n]; raise ValueError for another shape."""
-        if columns.ndim != 2 or columns.shape[1] != len(PARAMETERS) * arm.links:
-            raise ValueError(f"columns have shape {columns.shape}; give [robots, {len(PARAMETERS) * arm.links}]")
+        """Create one robot per row of `columns`, [R, 4 n]."""
         models = [Model(arm=from_column(arm, column), effects={}) for column in columns]
         self._simulator = Simulator(models, physics_rate_hz=TRAINING_PHYSICS_RATE_HZ)
         self._lengths = np.array(arm.link_length_m)
