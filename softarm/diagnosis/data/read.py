@@ -1,6 +1,6 @@
 """Reading of all inputs of a diagnosis: logs, trial folders, campaigns and stage.yaml files."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -46,18 +46,12 @@ def rail_motions(paths: Iterable[Path]) -> tuple[RailMotion, ...]:
                 found.append(rail_motion.read(source))
             except LogError as error:
                 raise TrialError(str(error)) from None
-        elif source.is_dir():
-            found += _rail_of(folder.read(source))
+        elif source.is_dir() and {"command", "rail"} <= (channels := folder.read(source).channels).keys():
+            sent, seen = channels["command"], channels["rail"]
+            obeyed = np.ones(len(sent), dtype=bool)  # every command counts as carried out
+            columns = seen.t_s, seen["position"], seen["velocity"]
+            found.append(RailMotion(source, sent.t_s, sent["cart_velocity"], obeyed, *columns))
     return tuple(found)
-
-
-def _rail_of(trial: Trial) -> Iterator[RailMotion]:
-    """Rail motion of a trial folder; every command counts as carried out."""
-    if {"command", "rail"} <= trial.channels.keys():
-        sent, seen = trial.channel("command"), trial.channel("rail")
-        obeyed = np.ones(len(sent), dtype=bool)
-        columns = seen.t_s, seen["position"], seen["velocity"]
-        yield RailMotion(trial.source, sent.t_s, sent["cart_velocity"], obeyed, *columns)
 
 
 def sources(path: Path) -> tuple[Path, ...]:
