@@ -213,12 +213,6 @@ def test_names_reveal_nothing(cases):
     assert {trial.folder for case in cases for trial in case.planned} == {f"trial-{i}" for i in range(1, 9)}
 
 
-@pytest.mark.parametrize(("count", "seed"), [(0, 1), (5, -1)])
-def test_an_invalid_count_or_seed_is_refused(count, seed):
-    with pytest.raises(ValueError, match="give a count from 1 and a seed from 0"):
-        draw(count, seed)
-
-
 def test_a_written_case_can_be_read_and_a_partial_one_is_written_again(tmp_path):
     case = next(case for case in draw(20, seed=2) if case.kind == "single")
     short = next(trial for trial in case.fresh if trial.excitation == "rail-multisine")
