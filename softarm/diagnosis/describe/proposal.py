@@ -15,13 +15,13 @@ from softarm.diagnosis.data.table_checks import ALIKE, UPRIGHT_RAD
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe import clocks, headers
 from softarm.diagnosis.describe.clocks import Clock
-from softarm.diagnosis.describe.kinds import guess
 from softarm.diagnosis.describe.survey import Signal, Survey
 from softarm.schemas.stage_model import MODEL_KEYS, ModelValue, StageKind, complaints
 
 Angles = Literal["absolute", "relative"]
 # Least correlation of a command and the column that follows it, and the lead in rows that decides.
 FOLLOWS = 0.6
+_PLACES = ("m", "rad", "counts")
 _DRIVES = {"N": "force", "N m": "force", "A": "current", "V": "voltage"}
 
 
@@ -163,12 +163,45 @@ class _Draft:
     def _kind(self) -> tuple[StageKind, str]:
         if self.answers.kind is not None:
             return self.answers.kind, "as given"
-        kind, why, sure = guess(self.moving, self.standard, self._role, lambda: any(map(self._leads, self.moving)))
+        kind, why, sure = self._guess()
         if not sure and self.answers.command and self.answers.measured:
             sure = kind == "tracking"
         if not sure:
             raise Unknown(Question("--kind", "", f"kind of mechanism ({why})", tuple(MODEL_KEYS), kind))
         return kind, why
+
+    def _guess(self) -> tuple[StageKind, str, bool]:
+        """Return the likeliest kind of mechanism, the reason, and whether there is no doubt."""
+        signals = self.moving
+        found = {s.label: self.standard(s) for s in signals}
+
+        def first(of: Sequence[Signal], *standards: str) -> Signal | None:
+            return next((s for s in of if found[s.label] in standards), None)
+
+        commands = [s for s in signals if self._role(s) == "command" and found[s.label] not in ("N", "N m", "A")]
+        others = [s for s in signals if self._role(s) != "command"]
+        for command in commands:
+            for other in others:
+                if found[command.label] == found[other.label] != "":
+                    return "tracking", f"{command.label} is commanded and {other.label} measured, in one quantity", True
+        if (pressure := first(others, "kPa")) and len(signals) > 1:
+            return "tracking", f"{pressure.label} is a pressure", True
+        angles = [s for s in others if found[s.label] == "rad"]
+        torque, place = first(signals, "N m"), first(others, *_PLACES, *(f"{p}/s" for p in _PLACES))
+        if torque and len(angles) > 1:
+            return "chain", f"{torque.label} is a torque, and there are {len(angles)} angles", True
+        if torque and angles:
+            return "driven_mass", f"{torque.label} is a torque, and there is one angle", True
+        if place and (push := first(signals, "N", "A")) and not commands:
+            return "driven_mass", f"{push.label} moves {place.label}", True
+        if place and (push := first(signals, *_DRIVES)):
+            return "driven_mass", f"{push.label} moves {place.label}", False
+        if angles and not commands and all(found[s.label] in ("rad", "rad/s") for s in signals):
+            one = len(angles) == 1
+            return "tracking" if not one and any(map(self._leads, signals)) else "pendulum", "only angles move", one
+        if len(commands) == 1 and len(others) == 1 and self._role(others[0]) == "measured":
+            return "tracking", f"{commands[0].label} is commanded, {others[0].label} is measured", True
+        return "tracking", "the headers do not show it", False
 
     def _role(self, signal: Signal) -> str:
         """Return the role of a signal, by its header, else by its file's name."""
@@ -247,7 +280,7 @@ class _Draft:
     def _driven(self, kind: StageKind) -> tuple[dict[str, list[Signal]], dict[str, list[Signal]]]:
         """Columns of a mass, a pendulum or a chain."""
         given = self.answers
-        places = ("rad", "m", "counts") if kind == "driven_mass" else ("rad",)
+        places = _PLACES if kind == "driven_mass" else ("rad",)
         found = sorted(
             (s for s in self.moving if self.standard(s) in (*places, *(f"{p}/s" for p in places))), key=_natural
         )
