@@ -3,13 +3,7 @@
 A date without a time zone counts as UTC: a recording has one clock, and only differences matter.
 """
 
-import math
-from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-
-import numpy as np
-
-from softarm.diagnosis.data.trials import Array, TrialError
 
 
 def instant(cell: str) -> datetime | None:
@@ -26,30 +20,3 @@ def instant(cell: str) -> datetime | None:
 def unix_s(moment: datetime) -> float:
     """Return a date and time in seconds since 1970 UTC."""
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-
-
-def seconds(
-    cells: Sequence[str], missing: Callable[[str | float], bool], place: Callable[[int], int], where: str
-) -> tuple[Array, bool]:
-    """Convert cells to seconds [N], and return whether they have time zones.
-
-    A missing cell becomes NaN. For messages, `place` maps a row's index to its number in the file and `where` is file
-    and column. Raises TrialError if a cell is not a date and time, or only some have a time zone.
-    """
-    found = np.full(len(cells), math.nan)
-    zones: dict[bool, int] = {}  # whether there is a zone -> the first such cell
-    for i, cell in enumerate(cells):
-        if missing(cell):
-            continue
-        if (read := instant(cell)) is None:
-            raise TrialError(
-                f"{where}, row {place(i)}: {cell!r} is not a date and time like the others; repair that row"
-            )
-        zones.setdefault(read.tzinfo is not None, i)
-        found[i] = unix_s(read)
-    if len(zones) > 1:
-        raise TrialError(
-            f"{where}: row {place(zones[True])} has a time zone ({cells[zones[True]].strip()}), row "
-            f"{place(zones[False])} has none ({cells[zones[False]].strip()}); write all with a time zone, or none"
-        )
-    return found, True in zones

@@ -117,12 +117,35 @@ def stamps(table: Table, about: Column, segment: str | None) -> tuple[Array, boo
     if about.unit != "s" or about.scale != 1.0 or about.minus:
         raise TrialError(f"{where}: contains dates with a time of day; write only `unit: s`")
     if texts:
-        found, zoned = instants.seconds(raw, _missing(_marks(table, about), table.comma), table.place, where)
+        found, zoned = _dates(table, raw, _missing(_marks(table, about), table.comma), where)
         return found + about.add, zoned
     found = (raw - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     if np.isnan(found).any():
         raise TrialError(f"{where}, row {table.place(int(np.argmax(np.isnan(found))))}: not a date; leave that row out")
     return found + about.add, None
+
+
+def _dates(
+    table: Table, cells: Sequence[str], missing: Callable[[str | float], bool], where: str
+) -> tuple[Array, bool]:
+    """Return dates in seconds since 1970 UTC, [N], NaN where missing, and whether they have time zones."""
+    found = np.full(len(cells), math.nan)
+    zones: dict[bool, int] = {}  # whether there is a zone -> the first such cell
+    for i, cell in enumerate(cells):
+        if missing(cell):
+            continue
+        if (read := instants.instant(cell)) is None:
+            raise TrialError(
+                f"{where}, row {table.place(i)}: {cell!r} is not a date and time like the others; repair that row"
+            )
+        zones.setdefault(read.tzinfo is not None, i)
+        found[i] = instants.unix_s(read)
+    if len(zones) > 1:
+        raise TrialError(
+            f"{where}: row {table.place(zones[True])} has a time zone ({cells[zones[True]].strip()}), row "
+            f"{table.place(zones[False])} has none ({cells[zones[False]].strip()}); write all with a time zone, or none"
+        )
+    return found, True in zones
 
 
 def counted(about: Column, rows: int) -> Array:
