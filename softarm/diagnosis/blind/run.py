@@ -57,7 +57,7 @@ def run(
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
     about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": seal.tool_version()}
-    unfinished = _beside(file, ".partial")
+    unfinished = seal.beside(file, ".partial")
     done = _kept(file, unfinished, about, cases)
     todo = [case for case in cases if case.name not in done]
     with unfinished.open("a", encoding="utf-8") as out:
@@ -118,7 +118,7 @@ def read_answers(file: Path) -> dict[str, Any]:
 
 def read_seconds(file: Path) -> dict[str, float]:
     """Return the processor time of each case, s; empty if it was not recorded."""
-    timing = _beside(file, ".timing.json")
+    timing = seal.beside(file, ".timing.json")
     return dict(json.loads(timing.read_text(encoding="utf-8"))) if timing.is_file() else {}
 
 
@@ -156,8 +156,4 @@ def _write(file: Path, about: dict[str, str], done: dict[str, dict[str, Any]]) -
     answers = [{key: value for key, value in done[name].items() if key != "seconds"} for name in sorted(done)]
     file.write_text(json.dumps({**about, "answers": answers}, indent=1) + "\n", encoding="utf-8")
     times = {name: done[name]["seconds"] for name in sorted(done)}
-    _beside(file, ".timing.json").write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
-
-
-def _beside(file: Path, ending: str) -> Path:
-    return file.with_name(file.name + ending)
+    seal.beside(file, ".timing.json").write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")

@@ -102,26 +102,27 @@ def check_labels(labels: Labels, data: Path) -> None:
 def freeze(answers: Path) -> str:
     """Write the SHA-256 of a file to `FILE.sha256` and return it."""
     digest = sha256(answers.read_bytes())
-    _frozen(answers).write_text(f"{digest}  {answers.name}\n", encoding="utf-8")
+    beside(answers, ".sha256").write_text(f"{digest}  {answers.name}\n", encoding="utf-8")
     return digest
 
 
 def check_frozen(answers: Path) -> str:
     """Return the SHA-256 of a frozen file; raise SealError if it was not frozen or has changed since."""
     try:
-        frozen = _frozen(answers).read_text(encoding="utf-8").split()[0]
+        frozen = beside(answers, ".sha256").read_text(encoding="utf-8").split()[0]
         digest = sha256(answers.read_bytes())
     except (OSError, IndexError):
         raise SealError(
-            f"{answers}: is not frozen ({_frozen(answers).name} is missing); finish `softarm blind run` first"
+            f"{answers}: is not frozen ({answers.name}.sha256 is missing); finish `softarm blind run` first"
         ) from None
     if digest != frozen:
         raise SealError(f"{answers}: has changed since it was frozen; run `softarm blind run` again on unseen cases")
     return digest
 
 
-def _frozen(answers: Path) -> Path:
-    return answers.with_name(answers.name + ".sha256")
+def beside(file: Path, ending: str) -> Path:
+    """Return the file next to another with this ending after its name."""
+    return file.with_name(file.name + ending)
 
 
 def _json(file: Path, what: str) -> Any:
