@@ -3,9 +3,10 @@
 Only the fields that are drawn, plotted and tabulated are read, so logs of other versions can be shown.
 """
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
@@ -132,6 +133,46 @@ def moments(path: Path) -> Iterator[Moment | None]:
                 yield Moment(one, frame, pressure, rail)
                 continue
         yield None
+
+
+def figures(moment: Moment) -> dict[str, Any]:
+    """Return the numbers and states of a tick by their names with units; NaN stands for a missing number."""
+    nan = math.nan
+    out, timing, rail, seen = moment.tick.outputs, moment.tick.timing, moment.rail, moment.tick.outputs.observed
+    goal, action, whole_ns = out.goal.goal, out.action or (nan, nan), timing.sensor_to_command_ns
+    values = seen.values if seen else Observation(*(nan,) * len(Observation._fields))
+    return {
+        "tick": out.tick,
+        "mode": out.mode,
+        "estop": out.estop,
+        "policy": out.policy,
+        "goal_number": out.goal.number,
+        "goal_kind": goal.kind if goal else "",
+        "goal_state": out.goal.state,
+        "target_y_m": goal.y_m if goal else nan,
+        "target_z_m": goal.z_m if goal else nan,
+        "closest_m": nan if out.goal.closest_m is None else out.goal.closest_m,
+        **{f"sent_{name}": value for name, value in out.sent._asdict().items()},
+        "action_cart_velocity_m_s": action[0],
+        "action_pressure_kpa": action[1],
+        "measured_pressure_kpa": moment.pressure.pressure_kpa if moment.pressure else nan,
+        "rail_position_m": rail.position_m if rail else nan,
+        "rail_velocity_m_s": rail.velocity_m_s if rail else nan,
+        **{f"observed_{name}": value for name, value in values._asdict().items()},
+        "bridged_s": seen.bridged_ns * 1e-9 if seen else nan,
+        "mocap_age_ms": seen.mocap_age_ns * 1e-6 if seen else nan,
+        "pressure_age_ms": seen.pressure_age_ns * 1e-6 if seen else nan,
+        "rail_age_ms": seen.rail_age_ns * 1e-6 if seen else nan,
+        "late_ms": out.late_ns * 1e-6,
+        "missed_ticks": out.missed,
+        "policy_ms": out.policy_ns * 1e-6,
+        "read_ms": timing.read_ns * 1e-6,
+        "compute_ms": timing.compute_ns * 1e-6,
+        "write_ms": timing.write_ns * 1e-6,
+        "sensor_to_command_ms": nan if whole_ns is None else whole_ns * 1e-6,
+        "clamps": " ".join(out.clamps),
+        "events": " ".join(event.name for event in out.events),
+    }
 
 
 def first_stamp_ns(path: Path) -> int:

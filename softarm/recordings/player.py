@@ -27,11 +27,17 @@ EVENTS_MAX = 5000
 
 _BODIES = tuple(f"{name}_{axis}" for axis in "yz" for name in BODY_NAMES)
 _LATENESS = ("late_ms", "mocap_age_ms", "policy_ms")  # the worst value of omitted ticks is shown
-SERIES = (
-    *_BODIES,
-    *("cart_requested", "cart_sent", "cart_measured", "pressure_requested", "pressure_sent", "pressure_measured"),
-    *_LATENESS,
-)
+# Curve -> its name in `flight.figures`.
+_CURVES = {
+    "cart_requested": "action_cart_velocity_m_s",
+    "cart_sent": "sent_cart_velocity_m_s",
+    "cart_measured": "rail_velocity_m_s",
+    "pressure_requested": "action_pressure_kpa",
+    "pressure_sent": "sent_pressure_kpa",
+    "pressure_measured": "measured_pressure_kpa",
+    **{name: name for name in _LATENESS},
+}
+SERIES = (*_BODIES, *_CURVES)
 _WORST = np.isin(SERIES, _LATENESS)
 
 
@@ -139,24 +145,10 @@ def page(log: LogFile, entries: Iterable[Entry], advance: Callable[[], None] = l
 
 
 def _row(moment: Moment) -> tuple[float, ...]:
-    nan = math.nan
-    out, frame, seen = moment.tick.outputs, moment.frame, moment.tick.outputs.observed
-    bodies = frame.bodies if frame and seen else ()
+    nan, figures = math.nan, flight.figures(moment)
+    bodies = moment.frame.bodies if moment.frame and moment.tick.outputs.observed else ()
     spots = [(b.y_m, b.z_m) if b.tracked else (nan, nan) for b in bodies] or [(nan, nan)] * len(BODY_NAMES)
-    requested = out.action or (nan, nan)
-    return (
-        *(y for y, _ in spots),
-        *(z for _, z in spots),
-        requested[0],
-        out.sent.cart_velocity_m_s,
-        moment.rail.velocity_m_s if moment.rail else nan,
-        requested[1],
-        out.sent.pressure_kpa,
-        moment.pressure.pressure_kpa if moment.pressure else nan,
-        out.late_ns * 1e-6,
-        seen.mocap_age_ns * 1e-6 if seen else nan,
-        out.policy_ns * 1e-6,
-    )
+    return (*(y for y, _ in spots), *(z for _, z in spots), *(figures[name] for name in _CURVES.values()))
 
 
 def _goal(moment: Moment, config: Config) -> tuple[Any, ...]:

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common import files
-from softarm.common.quantity import with_unit
 from softarm.recordings import flight
-from softarm.recordings.flight import Moment
+from softarm.recordings.flight import Moment, Outputs, Tick
 from softarm.recordings.log_file import LogFile
 from softarm.schemas.events import Entry
-from softarm.schemas.policy import OBSERVATION
+from softarm.schemas.messages import SAFE
 
 Form = Literal["csv", "parquet"]
 # Column -> cells of equal length: numbers (NaN: no value), booleans, texts or times (datetime64[ns], UTC).
@@ -24,9 +23,7 @@ Table = Mapping[str, Sequence[Any] | NDArray[Any]]
 Advance = Callable[[], None]  # called for every message read
 
 _NS = 1e-9
-_MS = 1e-6
-_OBSERVATION = tuple(with_unit(f"observed_{signal.name}", signal.unit) for signal in OBSERVATION)
-_NOTHING = (float("nan"),) * len(OBSERVATION)
+_TICK = tuple(flight.figures(Moment(Tick(outputs=Outputs(t_ns=0, sent=SAFE)), None, None, None)))
 
 
 def write(path: Path, table: Table) -> None:
@@ -65,7 +62,7 @@ def ticks(log: LogFile, advance: Advance = lambda: None) -> Table:
         advance()
         if one is not None:
             stamps.append(one.tick.outputs.t_ns)
-            rows.append(_row(one))
+            rows.append(tuple(flight.figures(one).values()))
     since = np.array(stamps, dtype=np.int64) - origin_ns
     columns = dict(zip(_TICK, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(_TICK, ())
     return {"time_utc": _instants(stamps, offset_ns), "t_s": since * _NS, **columns}
@@ -82,40 +79,6 @@ def events(log: LogFile, entries: Sequence[Entry]) -> Table:
         "tick": [entry.tick for entry in entries],
         **{name: [str(getattr(entry, name) or "") for entry in entries] for name in ("kind", "what", "who", "text")},
     }
-
-
-_TICK = (
-    *("tick", "mode", "estop", "policy", "goal_number", "goal_kind", "goal_state", "target_y_m", "target_z_m"),
-    *("closest_m", "sent_enable", "sent_cart_velocity_m_s", "sent_pressure_kpa", "action_cart_velocity_m_s"),
-    *("action_pressure_kpa", "measured_pressure_kpa", "rail_position_m", "rail_velocity_m_s", *_OBSERVATION),
-    *("bridged_s", "mocap_age_ms", "pressure_age_ms", "rail_age_ms", "late_ms", "missed_ticks", "policy_ms", "read_ms"),
-    *("compute_ms", "write_ms", "sensor_to_command_ms", "clamps", "events"),
-)
-
-
-def _row(moment: Moment) -> tuple[Any, ...]:
-    nan = float("nan")
-    out, timing = moment.tick.outputs, moment.tick.timing
-    goal, status, seen = out.goal.goal, out.goal, out.observed
-    ages = (seen.mocap_age_ns, seen.pressure_age_ns, seen.rail_age_ns) if seen else None
-    whole = timing.sensor_to_command_ns
-    return (
-        *(out.tick, out.mode, out.estop, out.policy),
-        *(status.number, goal.kind if goal else "", status.state),
-        *((goal.y_m, goal.z_m) if goal else (nan, nan)),
-        nan if status.closest_m is None else status.closest_m,
-        *out.sent,
-        *(out.action or (nan, nan)),
-        moment.pressure.pressure_kpa if moment.pressure else nan,
-        *((moment.rail.position_m, moment.rail.velocity_m_s) if moment.rail else (nan, nan)),
-        *(seen.values if seen else _NOTHING),
-        seen.bridged_ns * _NS if seen else nan,
-        *((age * _MS for age in ages) if ages else (nan,) * 3),
-        *(out.late_ns * _MS, out.missed, out.policy_ns * _MS),
-        *(timing.read_ns * _MS, timing.compute_ns * _MS, timing.write_ns * _MS),
-        nan if whole is None else whole * _MS,
-        *(" ".join(out.clamps), " ".join(event.name for event in out.events)),
-    )
 
 
 def _instants(stamps_ns: Sequence[int], offset_ns: int) -> NDArray[np.datetime64]:

@@ -5,14 +5,13 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from mcap import records
-from pydantic import ConfigDict, TypeAdapter
-from pydantic.dataclasses import dataclass
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from softarm.recordings import flight
-from softarm.recordings.flight import Tick
+from softarm.recordings.flight import Moment, Tick
 from softarm.recordings.foxglove import scene
 from softarm.recordings.foxglove.plain import plain
 from softarm.recordings.live import LogMessage
@@ -35,9 +34,17 @@ class Channel(NamedTuple):
     json_schema: bytes
 
 
-@dataclass(frozen=True, slots=True, config=ConfigDict(allow_inf_nan=False))
-class State:
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+_Number = Annotated[float | None, BeforeValidator(_finite)]  # None for NaN and infinity, which JSON does not have
+
+
+class State(BaseModel):
     """Tick as flat numbers for plots, without missing values."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     tick: int
     mode: str
@@ -46,31 +53,28 @@ class State:
     goal_state: str
     events: str  # of the failsafe table, separated by blanks
     clamps: str  # reasons why the sent command differs from the requested one
-    enabled: bool
-    target_y_m: float | None
-    target_z_m: float | None
-    tip_y_m: float | None
-    tip_z_m: float | None
-    tip_to_target_m: float | None
-    cart_position_m: float | None
-    cart_velocity_m_s: float | None
-    cart_velocity_requested_m_s: float | None
-    cart_velocity_sent_m_s: float
-    rail_position_m: float | None
-    rail_velocity_m_s: float | None
-    pressure_requested_kpa: float | None
-    pressure_sent_kpa: float
-    pressure_measured_kpa: float | None
+    enabled: bool = Field(validation_alias="sent_enable")
+    target_y_m: _Number
+    target_z_m: _Number
+    tip_y_m: _Number = Field(validation_alias="observed_tip_y_m")
+    tip_z_m: _Number = Field(validation_alias="observed_tip_z_m")
+    tip_to_target_m: _Number
+    cart_position_m: _Number = Field(validation_alias="observed_cart_position_m")
+    cart_velocity_m_s: _Number = Field(validation_alias="observed_cart_velocity_m_s")
+    cart_velocity_requested_m_s: _Number = Field(validation_alias="action_cart_velocity_m_s")
+    cart_velocity_sent_m_s: float = Field(validation_alias="sent_cart_velocity_m_s")
+    rail_position_m: _Number
+    rail_velocity_m_s: _Number
+    pressure_requested_kpa: _Number = Field(validation_alias="action_pressure_kpa")
+    pressure_sent_kpa: float = Field(validation_alias="sent_pressure_kpa")
+    pressure_measured_kpa: _Number = Field(validation_alias="measured_pressure_kpa")
     late_ms: float
     missed_ticks: int
     compute_ms: float
     policy_ms: float
-    mocap_age_ms: float | None
-    pressure_age_ms: float | None
-    rail_age_ms: float | None
-
-
-_STATE = TypeAdapter(State)
+    mocap_age_ms: _Number
+    pressure_age_ms: _Number
+    rail_age_ms: _Number
 
 
 def channels() -> tuple[Channel, ...]:
@@ -80,7 +84,7 @@ def channels() -> tuple[Channel, ...]:
         **dict.fromkeys((ROBOT, TARGET, SHELF, TRAIL), "SceneUpdate"),
         JOURNAL: "Log",
     }
-    state = Channel(STATE, "softarm.State", plain(json.dumps(_STATE.json_schema(mode="serialization")).encode()))
+    state = Channel(STATE, "softarm.State", plain(json.dumps(State.model_json_schema(mode="serialization")).encode()))
     return (*(Channel(topic, f"foxglove.{kind}", _schema(kind)) for topic, kind in kinds.items()), state)
 
 
@@ -151,7 +155,7 @@ class Converter:
                 yield self.journal(one)
             case Tick():
                 yield from self._scenes(one, at_ns)
-                yield LogMessage(STATE, at_ns, at_ns, _STATE.dump_json(self._state(one), exclude_none=True))
+                yield LogMessage(STATE, at_ns, at_ns, self._state(one).model_dump_json(exclude_none=True).encode())
 
     def journal(self, entry: Entry) -> LogMessage:
         """Something that happened, as foxglove.Log."""
@@ -193,49 +197,9 @@ class Converter:
                 yield LogMessage(topic, at_ns, at_ns, _json(made()))
 
     def _state(self, tick: Tick) -> State:
-        out, goal, seen = tick.outputs, tick.outputs.goal.goal, tick.outputs.observed
-        values = seen.values if seen else None
-        y_m, z_m = (_number(goal.y_m), _number(goal.z_m)) if goal else (None, None)
-        tip_y_m, tip_z_m = (_number(values.tip_y_m), _number(values.tip_z_m)) if values else (None, None)
-        known = tip_y_m is not None and tip_z_m is not None and y_m is not None and z_m is not None
-        requested = out.action or (None, None)
-        pressure, rail = self._pressure, self._rail
-        return State(
-            tick=out.tick,
-            mode=out.mode,
-            estop=out.estop,
-            policy=out.policy,
-            goal_state=out.goal.state,
-            events=" ".join(event.name for event in out.events),
-            clamps=" ".join(out.clamps),
-            enabled=out.sent.enable,
-            target_y_m=y_m,
-            target_z_m=z_m,
-            tip_y_m=tip_y_m,
-            tip_z_m=tip_z_m,
-            tip_to_target_m=math.hypot(tip_y_m - y_m, tip_z_m - z_m) if known else None,  # type: ignore[operator]
-            cart_position_m=_number(values.cart_position_m) if values else None,
-            cart_velocity_m_s=_number(values.cart_velocity_m_s) if values else None,
-            cart_velocity_requested_m_s=_number(requested[0]),
-            cart_velocity_sent_m_s=out.sent.cart_velocity_m_s,
-            rail_position_m=_number(rail.position_m) if rail else None,
-            rail_velocity_m_s=_number(rail.velocity_m_s) if rail else None,
-            pressure_requested_kpa=_number(requested[1]),
-            pressure_sent_kpa=out.sent.pressure_kpa,
-            pressure_measured_kpa=_number(pressure.pressure_kpa) if pressure else None,
-            late_ms=out.late_ns * 1e-6,
-            missed_ticks=out.missed,
-            compute_ms=tick.timing.compute_ns * 1e-6,
-            policy_ms=out.policy_ns * 1e-6,
-            mocap_age_ms=seen.mocap_age_ns * 1e-6 if seen else None,
-            pressure_age_ms=seen.pressure_age_ns * 1e-6 if seen else None,
-            rail_age_ms=seen.rail_age_ns * 1e-6 if seen else None,
-        )
-
-
-def _number(value: float | None) -> float | None:
-    """Return a number, or None for NaN, which JSON does not have."""
-    return value if value is not None and math.isfinite(value) else None
+        known = flight.figures(Moment(tick, None, self._pressure, self._rail))
+        across_m, up_m = (known[f"observed_tip_{axis}_m"] - known[f"target_{axis}_m"] for axis in "yz")
+        return State.model_validate(known | {"tip_to_target_m": math.hypot(across_m, up_m)})
 
 
 def _json(value: Any) -> bytes:
