@@ -13,6 +13,7 @@ from softarm.daemon.control.records import EStop, Mode, Observed, Problems
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation
 from tests.cli.invoke import invoke
+from tests.cli.trial_folder import write_trial
 
 STATUS = TypeAdapter(Status)
 
@@ -112,6 +113,12 @@ def softarm(daemon, monkeypatch):
 @pytest.fixture
 def make_status():
     return status
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    """Return a campaign of one trial `a`: one second of pressure."""
+    return write_trial(tmp_path / "campaign" / "a").parent
 
 
 @pytest.fixture(autouse=True)

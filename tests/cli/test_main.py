@@ -47,11 +47,6 @@ def test_every_verb_has_help_with_an_example_of_itself(name):
         assert command.get_short_help_str()
 
 
-@pytest.mark.parametrize("arguments", [["goal", "reach", "-0.2"], ["goal", "reach", "left", "0.6"], ["check"]])
-def test_a_usage_error_exits_with_2(arguments):
-    assert invoke(*arguments).exit_code == 2
-
-
 def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatch, tmp_path):
     (tmp_path / "needy_verb.py").write_text("import a_package_that_is_not_there\n")
     monkeypatch.setattr("softarm.cli.__path__", [*cli.__path__, str(tmp_path)])

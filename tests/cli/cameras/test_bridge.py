@@ -109,18 +109,6 @@ def test_a_mistake_in_the_file_is_reported(text: str, message: str, tmp_path: Pa
     assert message in answer.stderr
 
 
-def test_a_missing_server_is_a_usage_error() -> None:
-    answer = ask("natnet")
-    assert answer.exit_code == 2
-    assert "--server ADDRESS of the computer that runs Motive" in answer.stderr
-
-
-def test_an_unresolvable_server_is_reported(tmp_path: Path) -> None:
-    answer = ask("natnet", "--server", "no.such.host.invalid", "--once")
-    assert answer.exit_code == 1
-    assert "no.such.host.invalid:1510: find: " in answer.stderr
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorten the required times at rest."""

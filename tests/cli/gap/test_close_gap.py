@@ -10,7 +10,6 @@ from softarm.evaluation.closing import fly, steps
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Gap, Quantity, Verdict, Where
-from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
@@ -33,18 +32,6 @@ def asked(monkeypatch):
 
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
     return asked
-
-
-@pytest.fixture
-def campaign(tmp_path):
-    """Return a campaign with one trial: one second of pressure."""
-    trial = tmp_path / "campaign" / "a"
-    trial.mkdir(parents=True)
-    (trial / "trial.yaml").write_text("kind: seed\n")
-    rows = [f"{k / 30:.4f},{k % 7}.0" for k in range(30)]
-    (trial / "pressure.csv").write_text("\n".join(("t,pressure", *rows)) + "\n")
-    model_file.save(Model(), trial.parent / "model.yaml")
-    return trial.parent
 
 
 def test_the_result_shows_success_rates_and_the_written_files(asked, campaign, tmp_path, monkeypatch):
@@ -71,22 +58,3 @@ def test_existing_results_are_not_overwritten(asked, campaign, tmp_path):
     outcome = invoke("close-gap", campaign, "--out", tmp_path)
     assert outcome.exit_code == 1
     assert "already holds summary.json; name a new --out" in outcome.output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message", "code"),
-    [
-        (("--fault", "regulator.dead_time=0.06"), "allowed here: inflate_s, deflate_s", 1),
-        (("--fault", "valve.stuck=1"), "a group of regulator, rail, arm", 1),
-        (("--fault", "arm.payload_kg=heavy"), "'heavy' is not a number", 1),
-        (("--fault", "arm.payload_kg=7"), "allowed 0 to 0.5", 1),
-        (("--robot", "no-delay", "--fault", "arm.payload_kg=0.1"), "--fault is for the independent robot", 2),
-        (("--twin",), "--twin and --yes go with --config: name a configuration", 2),
-        (("--yes",), "--twin and --yes go with --config", 2),
-    ],
-)
-def test_wrong_options_are_refused_before_the_long_work(campaign, tmp_path, arguments, message, code):
-    outcome = invoke("close-gap", campaign, "--out", tmp_path / "out", *arguments)
-    assert outcome.exit_code == code, outcome.output
-    assert message in " ".join(outcome.output.split())
-    assert not (tmp_path / "out").exists()

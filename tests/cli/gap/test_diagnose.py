@@ -25,6 +25,7 @@ from softarm.schemas.verdict import (
 )
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
+from tests.cli.trial_folder import write_trial
 
 HALF = Interval(value=0.5, low=0.4, high=0.6)
 NAMED = Verdict(
@@ -51,17 +52,6 @@ NAMED = Verdict(
 )
 WHOLE = Model(effects={"arm.stiffness": {"scale": 0.02}})
 UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})
-
-
-def write_trial(folder, model=None):
-    """Write a trial of one second into a campaign, optionally with a model."""
-    folder.mkdir(parents=True)
-    (folder / "trial.yaml").write_text("kind: seed\n")
-    rows = [f"{k / 30:.4f},{k % 7}.0" for k in range(30)]
-    (folder / "pressure.csv").write_text("\n".join(("t,pressure", *rows)) + "\n")
-    if model is not None:
-        model_file.save(model, folder.parent / "model.yaml")
-    return folder
 
 
 @pytest.fixture
@@ -232,31 +222,6 @@ def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
     assert outcome.exit_code == 0, outcome.output
     assert asked.model is None
     assert asked.trials[0].stage.name == "axis"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message", "code"),
-    [
-        ((), "Missing argument 'INPUT...'", 2),
-        (("nowhere",), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
-        (("c/a", "--data", "."), "--data is for the data files of a stage.yaml", 2),
-        (
-            ("stage.yaml", "--model", "seed"),
-            "stage.yaml is another rig and holds its own nominal model; omit --model",
-            2,
-        ),
-        (("c/a", "--model", "no-dely"), "did you mean no-delay?", 1),
-        (("c/a", "--json", "no/v.json"), "no/v.json: the folder no does not exist; create it", 1),
-        (("c/a", "--report", "c"), "is a directory", 2),
-    ],
-)
-def test_a_wrong_command_is_refused_with_the_remedy(arguments, message, code, asked, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_trial(tmp_path / "c" / "a")
-    outcome = invoke("diagnose", *arguments)
-    assert message in outcome.output
-    assert outcome.exit_code == code
-    assert asked.trials is None
 
 
 def test_the_next_experiment_of_a_verdict_is_played_and_diagnosed(asked, tmp_path):

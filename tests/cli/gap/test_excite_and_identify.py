@@ -72,24 +72,6 @@ def test_a_log_cannot_be_fitted_and_held_out(recorded, tmp_path):
     assert not (tmp_path / "m.yaml").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message", "code"),
-    [
-        (("excite",), "no excitation named: `softarm excite --list` shows all", 2),
-        (("excite", "seed"), "no robot chosen: use --config FILE for real devices, --simulated, or --reality", 2),
-        (("excite", "seed", "--simulated", "--fault", "arm.payload_kg=0.03"), "add --reality", 2),
-        (("excite", "seed", "--reality", "--fault", "arm.paylod_kg=0.03"), "write group.quantity=value", 1),
-        (("excite", "free-decay", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
-        (("identify", "nowhere", "--out", "m.yaml"), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
-    ],
-)
-def test_a_wrong_command_is_refused_with_the_remedy(arguments, message, code, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    outcome = invoke(*arguments)
-    assert message in outcome.output
-    assert outcome.exit_code == code
-
-
 def test_the_list_shows_every_excitation():
     from softarm.schemas.excitation import EXCITATIONS
 

@@ -110,22 +110,6 @@ def test_a_file_that_does_not_pass_its_check_is_kept_with_the_next_step(tmp_path
     assert (tmp_path / "stage.yaml").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says", "code"),
-    [
-        (("nowhere",), "nowhere: does not exist; name the files or folders", 1),
-        (("run.csv", "--unit", "b"), "--unit b: has no value; write --unit NAME=VALUE", 2),
-        (("run.csv", "--rate", "0"), "--rate", 2),
-        (("run.csv", "--out", "no/stage.yaml"), "no/stage.yaml: the folder no does not exist", 1),
-        ((), "Missing argument 'DATA...'", 2),
-    ],
-)
-def test_a_wrong_command_is_refused_with_the_remedy(bare, arguments, says, code):
-    result = invoke("new", "rig", *arguments)
-    assert says in result.output
-    assert result.exit_code == code
-
-
 SWING = ("--nominal", "mass_kg=0.15", "--nominal", "centre_m=0.15", "--nominal", "inertia_kg_m2=1e-4")
 
 

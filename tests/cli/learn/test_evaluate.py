@@ -94,35 +94,3 @@ def test_a_trained_file_is_evaluated_alone(monkeypatch):
     result = run("--policy", MODELS / "reach.onnx")
     assert result.exit_code == 0, result.output
     assert "x real time" in result.output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--all", "--test", "held_back@no-delay"), "takes no model"),
-        (("--all", "--test", "grid@no-dely"), "did you mean no-delay"),
-        (("--policy", "missing.onnx", "--policy", "reach"), "missing.onnx"),
-        (("--all", "--config", "missing.yaml"), "missing.yaml"),
-    ],
-)
-def test_an_unknown_name_is_refused_with_the_known_ones(arguments, words):
-    result = run(*arguments)
-    assert result.exit_code == 1
-    assert words in result.output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--matrix",), "give its folder with --runs"),
-        (("--only", "pid"), "go with --all"),
-        (("--all", "--policy", "pid"), "choose rows with --only"),
-        (("--workers", 2), "goes with a comparison"),
-        (("--model", "no-delay", "--test", "grid@no-delay"), "names a model itself"),
-        (("--matrix", "--runs", ".", "--model", "no-delay"), "omit --policy and --model"),
-    ],
-)
-def test_options_without_effect_are_refused_with_the_reason(arguments, words):
-    result = run(*arguments)
-    assert result.exit_code == 2
-    assert words in " ".join(result.output.replace("│", " ").split()).replace("Choose", "choose")

@@ -379,13 +379,6 @@ def test_a_broken_connection_is_reported(softarm, daemon):
     assert f"the connection to {daemon.url} broke" in result.stderr
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8080", "ftp://x", "http://[::1", "http://h:port"])
-def test_an_invalid_url_is_a_usage_error(url):
-    result = invoke("status", "--url", url)
-    assert result.exit_code == 2
-    assert "e.g. http://127.0.0.1:8080" in result.stderr
-
-
 def test_a_token_file_overrides_the_token_of_the_environment(softarm, daemon, tmp_path, monkeypatch, make_status):
     daemon.on("GET", "/api/status", make_status())
     softarm("status")

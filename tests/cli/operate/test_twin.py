@@ -29,37 +29,6 @@ def test_a_missing_mujoco_package_names_the_extra(monkeypatch: pytest.MonkeyPatc
     assert "pip install 'softarm[mujoco]'" in answer.output
 
 
-def test_a_model_with_another_number_of_links_is_refused(tmp_path: Path) -> None:
-    lists = ("link_length_m", "link_mass_kg", "link_inertia_kg_m2", "stiffness_nm_rad", "damping_nm_s_rad")
-    short = "".join(f"  {name}: [0.01, 0.01]\n" for name in (*lists, "muscle_gain_nm_kpa", "torque_offset_nm"))
-    model = tmp_path / "short.yaml"
-    model.write_text("arm:\n" + short)
-    answer = invoke("twin", "--config", CONFIG, "--model", model, "--reality")
-    assert answer.exit_code == 1
-    assert "has 2 links; the daemon flies an arm of 5" in answer.output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--reality", "--fault", "rail.delay=0.09"), "did you mean delay_s? write group.quantity=value"),
-        (("--reality", "--fault", "rail.delay_s=3"), "Rail.delay_s is 3; allowed 0 to 0.3 s"),
-        (("--fault", "rail.delya=0.09"), "no such fault; did you mean rail.delay? `softarm twin --fault list` shows"),
-        (("--fault", "rail.delay=9"), "rail.delay.delay: is 9; allowed 0 to 0.1 s"),
-        (("--fault", "pressure.lag=0.3"), "write pressure.lag.inflate=VALUE or pressure.lag.deflate=VALUE"),
-        (("--fault", "arm.payload=heavy"), "'heavy' is not a number"),
-        (("--fault", "mocap_freez"), "did you mean mocap_freeze? allowed:"),
-        (("--fault", "rail_fault=3"), "takes no value"),
-        (("--fault", "mocap_drop_body=link9"), "allowed: cart, link1"),
-        (("--fault", "rail_silence=-1"), "seconds is -1.0; use a positive number"),
-    ],
-)
-def test_an_invalid_fault_is_refused_with_the_allowed_values(arguments: tuple[str, ...], message: str) -> None:
-    answer = invoke("twin", "--config", CONFIG, *arguments)
-    assert answer.exit_code == 1
-    assert message in " ".join(answer.output.split())
-
-
 def test_the_fault_list_shows_ranges_without_a_configuration() -> None:
     output = invoke("twin", "--fault", "list").output
     for name, *_ in described():
@@ -76,11 +45,6 @@ def test_a_fault_changes_the_effects_of_the_model() -> None:
     assert model.effects["arm.payload"] == exemplars()["arm.payload"]
     assert model.effects["pressure.lag"] == {**seed["pressure.lag"], "inflate": 0.3}
     assert Model().effects == seed
-
-
-def test_a_twin_without_its_file_is_refused() -> None:
-    answer = invoke("twin")
-    assert (answer.exit_code, "no ports given: use --config FILE" in answer.output) == (2, True)
 
 
 def test_a_fault_without_a_daemon_is_refused(tmp_path: Path) -> None:

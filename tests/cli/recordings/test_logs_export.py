@@ -39,9 +39,8 @@ def test_an_export_for_foxglove_includes_its_layout(tmp_path):
     assert {file.name for file in (tmp_path / "out").iterdir()} == {"flight-foxglove.mcap", "softarm-layout.json"}
 
 
-def test_an_unusable_place_or_format_is_refused(tmp_path):
+def test_an_unusable_place_is_refused(tmp_path):
     (tmp_path / "file").touch()
     result = export("--to", "csv", "--out", tmp_path / "file" / "below", FLIGHT)
     assert result.exit_code == 1
     assert "cannot be written (Not a directory); choose another --out" in result.stderr
-    assert export("--to", "xls", FLIGHT).exit_code == 2

@@ -57,10 +57,3 @@ def test_a_log_in_use_is_not_changed(cut_off):
         result = recover(cut_off)
     assert (result.exit_code, cut_off.read_bytes()) == (0, before)
     assert result.stdout == f"{cut_off}: is being written by a running daemon, left alone\n"
-
-
-def test_recover_needs_a_folder_with_logs(tmp_path):
-    result = recover(tmp_path)
-    assert result.exit_code == 1
-    assert result.stderr == f"{tmp_path}: no logs there; give the recorder's directory or a log\n"
-    assert recover().exit_code == 2

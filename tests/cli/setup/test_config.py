@@ -35,21 +35,6 @@ def test_each_kind_of_robot_has_its_file(option, name, runs):
     assert isinstance(read(name).config, Config)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("new", "mine.yaml"), "mine.yaml: exists and was not changed"),
-        (("new", "no/mine.yaml"), "no/mine.yaml: cannot be written"),
-        (("units", "torque"), "no key contains 'torque'"),
-    ],
-)
-def test_a_failure_changes_nothing_and_is_reported(arguments, message):
-    Path("mine.yaml").write_text("mine")
-    done = invoke("config", *arguments)
-    assert (done.exit_code, message in done.output) == (1, True)
-    assert Path("mine.yaml").read_text() == "mine"
-
-
 def test_units_of_matching_keys_are_printed():
     output = invoke("config", "units", "slew").output
     assert "limits.pressure.slew_max_kpa_s" in output

@@ -99,10 +99,3 @@ def test_a_simulated_robot_needs_no_hardware_and_no_file(softarm, bench):
 def test_the_parts_without_hardware_tests_are_listed(softarm, bench):
     done = softarm("doctor", "--config", "softarm.yaml", "--url", "http://127.0.0.1:9")
     assert all(sentence in done.output for sentence in untried.sentences().values())
-
-
-@pytest.mark.parametrize("url", ["robot:8080", "http://robot:port", "ftp://robot"])
-def test_an_invalid_address_is_refused(softarm, bench, url):
-    done = softarm("doctor", "--config", "softarm.yaml", "--url", url)
-    assert done.exit_code == 2
-    assert "http://127.0.0.1:8080" in done.output
