@@ -16,17 +16,19 @@ from softarm.schemas.log import LogEntry
 from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
 from tests.cli.invoke import invoke
 
+RUNNING = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
 
-def reach(state, number=3, **more):
+
+def goal(kind, state, number=3, **more):
     """Return a goal in the format of GET /api/goal."""
-    values = {"kind": "reach", "reason": None, "y_m": -0.2, "z_m": 0.6, "closest_m": None, "time_s": 0.0}
+    values = {"kind": kind, "reason": None, "y_m": None, "z_m": None, "closest_m": None, "time_s": 0.0}
     return GoalAnswer(state=state, number=number, **values | more).model_dump()
 
 
 @pytest.fixture
 def accepts_goal(daemon, make_status):
-    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", number=3)
-    daemon.on("POST", "/api/goal", make_status(goal=goal) | {"warnings": []})
+    daemon.on("POST", "/api/goal", make_status(goal=RUNNING, policy="wave") | {"warnings": []})
+    daemon.on("DELETE", "/api/goal", make_status())
     return daemon
 
 
@@ -134,10 +136,18 @@ def test_stop_falls_back_to_rest_if_another_program_has_the_port(softarm, daemon
     assert [path for _, path, _ in daemon.requests] == ["/api/stop"] * 2
 
 
-def test_negative_coordinates_are_not_read_as_options(softarm, accepts_goal):
-    result = softarm("goal", "reach", "-0.2", "0.6")
-    assert (result.exit_code, result.stdout) == (0, "reaching for y -0.2, z 0.6 m\n")
-    assert accepts_goal.requests == [("POST", "/api/goal", {"kind": "reach", "y_m": -0.2, "z_m": 0.6})]
+@pytest.mark.parametrize(
+    ("arguments", "body", "said"),
+    [
+        (("reach", "-0.2", "0.6"), {"kind": "reach", "y_m": -0.2, "z_m": 0.6}, "reaching for y -0.2, z 0.6 m\n"),
+        (("run",), {"kind": "run"}, "running wave\n"),
+        (("hold",), {"kind": "hold"}, "holding\n"),
+    ],
+)
+def test_a_goal_is_requested_and_printed(softarm, accepts_goal, arguments, body, said):
+    result = softarm("goal", *arguments)
+    assert (result.exit_code, result.stdout) == (0, said)
+    assert accepts_goal.requests == [("POST", "/api/goal", body)]
 
 
 def test_a_misspelt_option_of_reach_is_refused(softarm, daemon):
@@ -147,27 +157,48 @@ def test_a_misspelt_option_of_reach_is_refused(softarm, daemon):
     assert daemon.requests == []
 
 
-def test_wait_ends_with_the_goal_reached(softarm, accepts_goal):
-    running = reach("running", time_s=0.4, closest_m=0.2)
-    accepts_goal.on("GET", "/api/goal", running, running, reach("reached", time_s=1.234, closest_m=0.0391))
-    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
-    assert (result.exit_code, result.stdout) == (0, "reached in 1.23 s, closest 0.039 m\n")
+REACH, RUN = ("reach", -0.2, 0.6, "--wait"), ("run", "--wait")
 
 
 @pytest.mark.parametrize(
-    ("end", "message"),
+    ("arguments", "end", "said"),
     [
-        (reach("failed", reason="time limit of 3.33 s", closest_m=0.1), "failed: time limit of 3.33 s\n"),
-        (reach("cancelled", reason="disarmed"), "cancelled: disarmed\n"),
-        (reach("running", number=4), "another goal has replaced this one: see `softarm status`\n"),
-        (reach("reached", number=5), "another goal has replaced this one: see `softarm status`\n"),
+        (REACH, goal("reach", "reached", time_s=1.234, closest_m=0.0391), "reached in 1.23 s, closest 0.039 m\n"),
+        (RUN, goal("run", "reached", time_s=28.0), "played to its end in 28.00 s\n"),
+        (("run", "--seconds", 0.01), goal("run", "cancelled", time_s=0.2), "cancelled after 0.20 s, as requested\n"),
     ],
 )
-def test_wait_fails_with_the_reason_if_the_goal_is_not_reached(softarm, accepts_goal, end, message):
-    accepts_goal.on("GET", "/api/goal", reach("running"), end)
-    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
+def test_wait_ends_with_the_goal(softarm, accepts_goal, arguments, end, said):
+    running = goal(end["kind"], "running", time_s=0.4, closest_m=0.2)
+    accepts_goal.on("GET", "/api/goal", running, running, end)
+    result = softarm("goal", *arguments)
+    assert (result.exit_code, result.stdout) == (0, said)
+    deleted = ("DELETE", "/api/goal", None) in accepts_goal.requests
+    assert deleted == ("--seconds" in arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "end", "message"),
+    [
+        (REACH, goal("reach", "failed", reason="time limit of 3.33 s"), "failed: time limit of 3.33 s\n"),
+        (REACH, goal("reach", "cancelled", reason="disarmed"), "cancelled: disarmed\n"),
+        (("run", "--seconds", 60), goal("run", "cancelled", time_s=0.2, reason="disarmed"), "cancelled: disarmed\n"),
+        (REACH, goal("reach", "running", number=4), "another goal has replaced this one: see `softarm status`\n"),
+        (REACH, goal("reach", "reached", number=5), "another goal has replaced this one: see `softarm status`\n"),
+    ],
+)
+def test_wait_fails_with_the_reason_if_the_goal_is_not_reached(softarm, accepts_goal, arguments, end, message):
+    accepts_goal.on("GET", "/api/goal", goal(end["kind"], "running"), end)
+    result = softarm("goal", *arguments)
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr.endswith(message)
+
+
+@pytest.mark.parametrize(("end", "code"), [("reached", 0), ("failed", 1)])
+def test_json_output_contains_only_the_end(softarm, accepts_goal, end, code):
+    accepts_goal.on("GET", "/api/goal", goal("run", end, time_s=1.0, reason="why"))
+    result = softarm("goal", *RUN, "--json")
+    assert (result.exit_code, json.loads(result.stdout)["state"]) == (code, end)
 
 
 def test_warnings_go_to_stderr(softarm, daemon, make_status):
@@ -177,17 +208,13 @@ def test_warnings_go_to_stderr(softarm, daemon, make_status):
     assert result.stderr == "warning: never trained there\n"
 
 
-def test_hold_and_cancel_send_their_requests(softarm, daemon, make_status):
-    daemon.on("POST", "/api/goal", make_status() | {"warnings": []})
-    daemon.on("DELETE", "/api/goal", make_status())
-    assert softarm("goal", "hold").stdout == "holding\n"
+def test_cancel_ends_the_goal(softarm, accepts_goal):
     assert softarm("goal", "cancel").stdout == "cancelled\n"
-    assert daemon.requests == [("POST", "/api/goal", {"kind": "hold"}), ("DELETE", "/api/goal", None)]
+    assert accepts_goal.requests == [("DELETE", "/api/goal", None)]
 
 
 def test_goal_without_a_verb_shows_the_state_of_the_goal(softarm, daemon, make_status):
-    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
-    daemon.on("GET", "/api/status", make_status(), make_status(goal=goal))
+    daemon.on("GET", "/api/status", make_status(), make_status(goal=RUNNING))
     assert softarm("goal").stdout == "no goal since the daemon started; `softarm goal --help` lists the verbs\n"
     assert softarm("goal", "--url", daemon.url).stdout == "reach y -0.2, z 0.6 m: running, 1.2 s, closest 0.083 m\n"
     result = softarm("goal", "--url", daemon.url, "hold")
@@ -262,8 +289,7 @@ def test_an_empty_list_of_logs_is_reported(softarm, daemon):
 
 
 def test_status_of_a_healthy_arm_is_complete(softarm, daemon, make_status):
-    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
-    daemon.on("GET", "/api/status", make_status(goal=goal, clamps=("rail_velocity",)))
+    daemon.on("GET", "/api/status", make_status(goal=RUNNING, clamps=("rail_velocity",)))
     assert softarm("status").stdout.splitlines() == [
         "mode      armed",
         "policy    reach",
@@ -342,17 +368,18 @@ def test_a_missing_token_names_the_option(softarm, daemon):
     assert "Bearer" not in result.stderr
 
 
-@pytest.mark.parametrize("code", [404, 409, 422, 503])
-def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, code):
-    sentence = "mocap: no frame for 0.3 s; see the bridge"
-    daemon.on("POST", "/api/acknowledge", {"detail": sentence, "reasons": [sentence]}, code=code)
-    result = softarm("acknowledge")
-    assert (result.exit_code, result.stdout, result.stderr) == (1, "", sentence + "\n")
-
-
-def test_an_error_without_text_shows_its_http_status(softarm, daemon):
-    daemon.on("POST", "/api/acknowledge", {"detail": [{"loc": []}]}, code=500)
-    assert softarm("acknowledge").stderr == "POST /api/acknowledge: HTTP 500\n"
+@pytest.mark.parametrize(
+    ("code", "detail", "said"),
+    [
+        (409, "mocap: no frame; see the bridge", "mocap: no frame; see the bridge"),
+        (500, [{}], "POST /api/arm: HTTP 500"),
+    ],
+)
+def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, make_status, code, detail, said):
+    daemon.on("GET", "/api/status", make_status())
+    daemon.on("POST", "/api/arm", {"detail": detail, "reasons": []}, code=code)
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout, result.stderr) == (1, "", f"{said}\n")
 
 
 def test_a_missing_daemon_is_reported_with_the_command_to_start_it():
