@@ -140,19 +140,6 @@ def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: 
     assert said.splitlines() == [f"True True {site}/softarm/__init__.py", "SoftArmReach-v0"]
 
 
-def test_data_files_are_found_in_the_installed_package(installed: Path, tmp_path: Path) -> None:
-    said = run(
-        installed,
-        "-c",
-        "from softarm.common.revision import PACKAGE;"
-        "from softarm.daemon.config.configuration import read;"
-        "print(read(PACKAGE / 'softarm.yaml').config.api.port, read(PACKAGE / 'twin.yaml').config.drivers.rail.port);"
-        "print((PACKAGE / 'systemd' / 'softarmd.service').is_file(), (PACKAGE / 'docs/operate/service.md').is_file())",
-        cwd=tmp_path,
-    )
-    assert said.split() == ["8080", "15020", "True", "True"]
-
-
 def test_the_wheel_alone_creates_a_configuration_and_a_service(installed: Path, tmp_path: Path) -> None:
     softarm = installed.with_name("softarm")
     run(softarm, "config", "new", "--twin", cwd=tmp_path)

@@ -1,14 +1,11 @@
 """Tables on the pages: generated from stored results with their origin."""
 
-import json
 import re
 import subprocess
-import sys
 
 import pytest
-from click.testing import CliRunner
 
-from benchmarks import keep, results, tables
+from benchmarks import results, tables
 from tools import render
 
 PAGES = sorted(render.DOCS.rglob("*.md"))
@@ -39,28 +36,6 @@ def test_a_result_states_its_origin(name):
     assert all((results.CHECKOUT / path).exists() for path in about["depends"]), "a path was renamed"
     assert re.fullmatch(r"[0-9a-f]{40}", about["revision"]), "measure at a commit, with nothing changed since"
     assert about.get("transcribed", True) is True
-
-
-WRITES = """
-import json, sys
-place = sys.argv[sys.argv.index("--json") + 1]
-json.dump({"speed": 2.5, "long": [1, 2], "about": "its own"}, open(place, "w"))
-sys.exit(int(sys.argv[1]))
-"""
-
-
-def test_the_output_of_a_command_is_stored_with_the_command(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "FOLDER", tmp_path)
-    script = tmp_path / "measure.py"
-    script.write_text(WRITES)
-    run = CliRunner().invoke(keep.main, ["--without", "long", "loop", "--", sys.executable, str(script), "0"])
-    assert run.exit_code == 0, run.output
-    found = json.loads((tmp_path / "loop.json").read_text())
-    assert found.keys() == {"about", "speed"}
-    assert found["speed"] == 2.5
-    assert found["about"].keys() == ABOUT
-    assert found["about"]["revision"] == results.measured()
-    assert found["about"]["command"].endswith("measure.py 0")
 
 
 def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path):

@@ -93,10 +93,7 @@ def test_natnet_once_shows_every_body_and_what_the_daemon_lacks(file: Path, pose
     ("text", "message"),
     [
         ("sever: 1.2.3.4", "bridge.yaml:1: sever: unknown key; did you mean server?"),
-        ("command_port: 99999", "command_port: is 99999; allowed 1 to 65535"),
-        ("room: {up: x}", "room.up: is 'x'; allowed 'y' or 'z'"),
         ("room: {yaw_rad: 90}", "room.yaw_rad: is 90; allowed -3.14159 to 3.14159 rad"),
-        ("bodies: {tip: {}}", "bodies.tip: unknown key"),
         ("bodies: {cart: {hanging: [0, 0, 0, 0.5]}}", "hanging must be a unit quaternion"),
         ("bodies: {cart: {rigid_body: link1}}", "bodies.link1.rigid_body is 'link1', which is cart already"),
     ],
