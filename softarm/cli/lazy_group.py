@@ -58,7 +58,10 @@ class LazyGroup(Verbs):
             self._explain_missing(args[0], error)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb; print one line after Ctrl-C, and for a defect one line or, with --debug, a traceback."""
+        """Run the verb and end it with a sentence for an error of softarm's own kinds and for Ctrl-C.
+
+        Any other exception is a defect: one line or, with --debug, a traceback.
+        """
         try:
             with compilation_announced():
                 return super().invoke(ctx)
@@ -70,6 +73,8 @@ class LazyGroup(Verbs):
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
         except Exception as error:
+            if type(error).__module__.startswith("softarm."):
+                fail(str(error))  # such an error is no defect: its text states cause and remedy
             if ctx.params["debug"]:
                 raise
             click.echo(defect(ctx.invoked_subcommand or "", error), err=True)

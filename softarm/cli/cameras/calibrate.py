@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.cameras.settings import server_option, settings
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, check_places, write
 from softarm.cli.shared.printing import warn
@@ -62,9 +62,7 @@ def calibrate(
       softarm bridge calibrate --server 192.168.1.10 --middle --end +y
       softarm bridge calibrate --config bridge.yaml --out new.yaml
     """
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.bridge import written
-    from softarm.drivers.bridge.calibration import CalibrationError
     from softarm.drivers.bridge.calibration import calibrate as calculate
     from softarm.drivers.bridge.client import Client
     from softarm.drivers.bridge.gathering import Gathering, gather
@@ -81,16 +79,15 @@ def calibrate(
     leaves(NOTHING)
     gathering = Gathering([name for name in BODY_NAMES if getattr(config.bodies, name) is not None], middle)
     warn("let the arm hang still, drive off and vented" + (", the cart in the middle of the rail" if middle else ""))
-    with failing(DeviceError, CalibrationError):
-        with Client(config, address, warn) as client, bar("calibrating", None) as shown:
+    with Client(config, address, warn) as client, bar("calibrating", None) as shown:
 
-            def show(text: str) -> None:
-                shown.show(text=text)
+        def show(text: str) -> None:
+            shown.show(text=text)
 
-            gather(config, client, gathering, seconds, partial(_next, config, gathering, middle), show)
-        if end is None:
-            end = "+y" if click.confirm(END, err=True) else "-y"
-        found = calculate(gathering.rest, gathering.push, config.bodies, end == "+y", middle, straight)
+        gather(config, client, gathering, seconds, partial(_next, config, gathering, middle), show)
+    if end is None:
+        end = "+y" if click.confirm(END, err=True) else "-y"
+    found = calculate(gathering.rest, gathering.push, config.bodies, end == "+y", middle, straight)
     whole = written.configuration(config, address, found)
     write(out, written.text(whole, found, date.today()))
     _report(found, out)

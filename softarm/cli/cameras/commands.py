@@ -13,7 +13,6 @@ import click
 from softarm.cli.cameras.calibrate import calibrate
 from softarm.cli.cameras.screen import look, screen
 from softarm.cli.cameras.settings import server_option, settings
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import print_option
@@ -60,7 +59,6 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
       softarm bridge natnet --config bridge.yaml --json > bridge.jsonl
     """
     from softarm.common import realtime
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.bridge.bridging import Bridging
     from softarm.drivers.bridge.client import Client
     from softarm.drivers.bridge.publisher import Publisher
@@ -80,11 +78,7 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
             "not calibrated: the room is taken as it stands; `softarm bridge calibrate` finds how it lies", err=True
         )
     show, log = screen(as_json)
-    with (
-        failing(DeviceError),
-        closing(Publisher(config.daemon, log)) as publisher,
-        Client(config, address, log) as client,
-    ):
+    with closing(Publisher(config.daemon, log)) as publisher, Client(config, address, log) as client:
         publisher.open()
         _carry(Bridging(config, client, publisher, log), show, PRINTED_S if as_json else SHOWN_S, ended)
 

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import failing
-
 if TYPE_CHECKING:
     from softarm.schemas.bridge import Bridge
 
@@ -17,12 +15,10 @@ server_option = click.option(
 
 def settings(server: str | None, config_file: Path | None) -> "tuple[Bridge, str]":
     """Return the bridge's configuration and the server's address; end the command if one is wrong."""
-    from softarm.common.yaml_lines import FileError
     from softarm.drivers.bridge.bridging import read
     from softarm.schemas.bridge import Bridge
 
-    with failing(FileError):
-        config = Bridge() if config_file is None else read(config_file)
+    config = Bridge() if config_file is None else read(config_file)
     if (address := server or config.server) is None:
         raise click.UsageError("which cameras? --server ADDRESS of the computer that runs Motive, or --config FILE")
     return config, address

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER
 from softarm.common.processes import bar
@@ -44,11 +43,9 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
       softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
     """
     from softarm.diagnosis.blind import make as making
-    from softarm.diagnosis.blind.seal import SealError
 
     leaves(f"the finished cases are kept in {data}; the same command continues")
-    with failing(SealError):
-        cases = making.prepare(data, labels_file, fresh, count, seed)
+    cases = making.prepare(data, labels_file, fresh, count, seed)
     with bar("flying", len(cases)) as shown:
         making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
     click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
@@ -72,10 +69,9 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
       softarm blind run cases --answers bic.json --method bic
     """
     from softarm.diagnosis.blind import run as running
-    from softarm.diagnosis.blind.seal import SealError
 
     leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
-    with failing(SealError), bar(method, total=None) as shown:
+    with bar(method, total=None) as shown:
         digest = running.run(data, answers_file, method, processes, shown.count, trials)
     click.echo(f"wrote {answers_file}; frozen as {digest}")
 
@@ -97,10 +93,8 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
         --answers answers.json --answers bic.json --out score
     """
     from softarm.diagnosis.blind import opening
-    from softarm.diagnosis.blind.seal import SealError
-    from softarm.diagnosis.data.trials import TrialError
 
     leaves("no score was written; the same command starts again")
-    with failing(SealError, TrialError), bar("opening", total=None) as shown:
+    with bar("opening", total=None) as shown:
         opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
     click.echo((out / "score.md").read_text(encoding="utf-8"))

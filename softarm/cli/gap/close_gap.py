@@ -11,7 +11,7 @@ from softarm.cli.shared.errors import failing, writing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, flown_model, load_config
 from softarm.cli.shared.printing import print_table, print_text, warn
-from softarm.common.processes import WorkerDied, bar
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.evaluation.closing.closed import Closed
@@ -70,22 +70,17 @@ def close_gap(
     from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import rail_motions
-    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.from_files import diagnose_files
     from softarm.evaluation.closing import steps
     from softarm.evaluation.closing.advice import advise
-    from softarm.policies.base import PolicyError
-    from softarm.simulator.model_file import ModelFileError
-    from softarm.training.record.checkpoint import CheckpointError
     from softarm.training.run.retrain import RetrainingConfig
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: omit --robot, or add the effect to its model")
     check_wires(config_file, twin, yes)
-    wrong = (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied, ValueError, RuntimeError)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     spent = steps.Spent()
-    with failing(*wrong), writing("choose another --out"):
+    with failing(ValueError, RuntimeError), writing("choose another --out"):
         config = load_config(config_file)
         model = None if robot == REALITY else flown_model(Path(robot))
         held_out = steps.independent(faults) if model is None else steps.simulated(robot, model)

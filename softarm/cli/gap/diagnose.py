@@ -8,7 +8,7 @@ import click
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
 from softarm.cli.gap.verdict_text import show
-from softarm.cli.shared.errors import failing, writing
+from softarm.cli.shared.errors import writing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places
 from softarm.cli.shared.printing import warn
@@ -66,7 +66,6 @@ def diagnose(
     from softarm.common import files
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import TABLES
-    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.from_files import diagnose_files
     from softarm.diagnosis.rigs import patch
     from softarm.simulator import model_file as models
@@ -81,7 +80,7 @@ def diagnose(
     refuse_misplaced(inputs)
     check_places(json_file, report_file, patch_file, limits_file)
     leaves(NOTHING)
-    with failing(TrialError, models.ModelFileError), bar("reading") as shown:
+    with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
     written = []
     stage_files = [path for path in inputs if path.suffix in TABLES]
@@ -89,7 +88,7 @@ def diagnose(
     rig_patch = None
     if patch_file is not None and len(stage_files) == 1:
         rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
-    with failing(TrialError), writing():
+    with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
             written.append(json_file)

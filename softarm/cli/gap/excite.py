@@ -54,14 +54,9 @@ def excite(
       softarm excite seed --reality --fault arm.payload_kg=0.03     on the independent robot
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
-    from softarm.daemon.access.auth import AuthError
-    from softarm.daemon.access.sockets import ApiError
     from softarm.daemon.assembly import latch_of
-    from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.play import length_s, play, play_simulated
     from softarm.daemon.runtime.devices import real_devices
-    from softarm.daemon.stop.latch import LatchError
-    from softarm.policies.base import PolicyError
     from softarm.schemas.excitation import EXCITATIONS
 
     if show:
@@ -82,7 +77,7 @@ def excite(
         raise click.UsageError("--fault is for the independent robot: add --reality")
     stopped = "" if simulated or reality else "the cart was braked, the muscle vented, the drive is off; "
     leaves(f"{stopped}recordings are kept; the last one is incomplete")
-    with failing(PolicyError, LatchError, RecorderError, ApiError, AuthError, RuntimeError):
+    with failing(RuntimeError):
         config = load_config(config_file) if simulated or reality else prepared(config_file, wires=True)
         if logs is not None:
             recorder = config.recorder.model_copy(update={"directory": logs})

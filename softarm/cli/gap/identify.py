@@ -7,7 +7,7 @@ import click
 
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
-from softarm.cli.shared.errors import failing, writing
+from softarm.cli.shared.errors import writing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, json_option, model_option
 from softarm.cli.shared.printing import print_table, print_text, warn
@@ -51,14 +51,13 @@ def identify(
 
     from softarm.common import files
     from softarm.diagnosis.data.read import read_all
-    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.identify.identify import identify as fit
     from softarm.schemas.model import Model
     from softarm.simulator import model_file as models
 
     refuse_misplaced((*inputs, *checks))
     leaves(NOTHING)
-    with failing(TrialError, models.ModelFileError), writing():
+    with writing():
         model = models.load(model_file) if model_file else Model()
         with bar("reading", total=None) as shown:
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from softarm.cli.gap.rig_questions import RATE, is_terminal, proposed
-from softarm.cli.shared.errors import Failure, fail, failing
+from softarm.cli.shared.errors import Failure, fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, INPUT, check_places, write
 from softarm.cli.shared.printing import print_table, waiting
@@ -63,7 +63,6 @@ def rig(
       softarm new rig swings --kind pendulum --nominal mass_kg=0.15 --nominal centre_m=0.15 --nominal inertia_kg_m2=1e-4
     """
     from softarm.diagnosis.data.stage_file import called
-    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.describe import stage_text
     from softarm.diagnosis.describe.proposal import Answers
     from softarm.diagnosis.describe.survey import survey
@@ -81,11 +80,10 @@ def rig(
         nominal=_pairs("--nominal", nominal),
         angles=angles,
     )
-    with failing(TrialError):
-        with waiting("reading the recordings"):
-            found = survey(data)
-        _show(found)
-        proposal = proposed(found, given)
+    with waiting("reading the recordings"):
+        found = survey(data)
+    _show(found)
+    proposal = proposed(found, given)
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")
@@ -125,10 +123,11 @@ def _show(found: "Survey") -> None:
 def _check(out: Path) -> None:
     """Check the new file as `softarm check` does, and print the next command."""
     from softarm.cli.setup.check_stage import check_stage
+    from softarm.diagnosis.data.trials import TrialError
 
     try:
         check_stage(out, None)
-    except Failure:
+    except (Failure, TrialError):
         click.echo(f"next: correct {out}, then\n  softarm check {out}")
         raise
     click.echo(f"next: complete `model:` in {out} with the values of your simulator, then")

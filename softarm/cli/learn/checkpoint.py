@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
@@ -22,9 +21,7 @@ def export(checkpoint: Path, out: Path) -> None:
     """
     leaves(NOTHING)
     with waiting(f"reading {checkpoint}"):
-        from softarm.training.record.checkpoint import CheckpointError
         from softarm.training.record.export import export_checkpoint
 
-        with failing(CheckpointError):
-            export_checkpoint(checkpoint, out)
+        export_checkpoint(checkpoint, out)
     click.echo(f"wrote {out}")

@@ -21,7 +21,7 @@ from softarm.cli.shared.options import (
     write_json,
 )
 from softarm.cli.shared.printing import print_table
-from softarm.common.processes import WorkerDied, bar, cores
+from softarm.common.processes import bar, cores
 
 DEFAULT_POLICY = "reach"
 
@@ -127,11 +127,9 @@ def evaluate(
 def _compare(choice: _Choice, json_file: Path | None, report: Path | None, workers: int) -> None:
     from softarm.evaluation import page, table
     from softarm.evaluation import tests as known
-    from softarm.policies.base import PolicyError
-    from softarm.simulator.model_file import ModelFileError
 
     flown_model(choice.model_file)
-    with failing(PolicyError, ModelFileError, ValueError, WorkerDied):
+    with failing(ValueError):
         config = load_config(choice.config_file)
         tests = choice.tests or known.default(choice.compare_all, choice.matrix)
         if choice.model_file:
@@ -150,13 +148,11 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
 
 def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
     from softarm.evaluation import evaluation
-    from softarm.policies.base import PolicyError
 
-    with failing(PolicyError):
-        config = load_config(config_file)
-        model = flown_model(model_file)
-        with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
-            result = evaluation.evaluate(policy, config, model, shown.advance)
+    config = load_config(config_file)
+    model = flown_model(model_file)
+    with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
+        result = evaluation.evaluate(policy, config, model, shown.advance)
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
     rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]
     print_table(("targets", "reached"), rows, f"{policy}: 54 targets x 3 cart starts")

@@ -6,7 +6,7 @@ import click
 
 from softarm.cli.gap.new_rig import rig
 from softarm.cli.learn import templates
-from softarm.cli.shared.errors import failing, writing
+from softarm.cli.shared.errors import writing
 from softarm.cli.shared.options import FOLDER
 from softarm.cli.verbs import Verbs
 
@@ -62,9 +62,7 @@ Example:
 
 def _write(kind: str, name: str, out: Path | None) -> None:
     """Write the package of a plug-in and print the next commands."""
-    from softarm.common.plugins import PluginError
-
-    with failing(PluginError), writing("choose another --out"):
+    with writing("choose another --out"):
         package = templates.named(kind, name)
         folder = out or Path(package.project)
         for file in templates.write(package, folder):

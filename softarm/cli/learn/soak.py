@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, check_places, json_option, write, write_json
 
@@ -46,8 +46,6 @@ def soak(
     """
     from softarm.common.processes import bar
     from softarm.evaluation.soak import both, page
-    from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
-    from softarm.policies.base import PolicyError
 
     if not hours and not lockstep_days:
         raise click.UsageError("nothing to do: give --hours, --lockstep-days, or both")
@@ -59,7 +57,7 @@ def soak(
         kept.mkdir(parents=True, exist_ok=True)
         if any(kept.iterdir()):
             fail(f"--logs {kept}: is not empty, and its size is measured; name a new folder")
-        with failing(SoftwareInTheLoopError, PolicyError), bar("soaking") as shown:
+        with bar("soaking") as shown:
             real, stepped = both.soak(hours, lockstep_days, seed, policy, kept, shown.report)
     write_json(json_file, page.figures(real, stepped))
     if report is not None:

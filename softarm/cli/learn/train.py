@@ -63,10 +63,8 @@ def train(
     if task is None:
         raise click.UsageError("no task given: name one, e.g. `softarm train reach`, or use --sweep FILE")
 
-    from softarm.simulator.model_file import ModelFileError
     from softarm.training.learn import inference
     from softarm.training.record import tensorboard
-    from softarm.training.record.checkpoint import CheckpointError
     from softarm.training.run.recipe import begin, named
     from softarm.training.run.report import ending
 
@@ -80,7 +78,7 @@ def train(
         fail(f"{folder} already contains a run: continue it with --resume, or choose another --out")
     leaves(lambda: _left(folder))
     with inference.workers() as pool:
-        with failing(CheckpointError, ModelFileError, ValueError), waiting("creating robots and network"):
+        with failing(ValueError), waiting("creating robots and network"):
             session = begin(recipe, seed, folder, pool, resume)
         if missing := tensorboard.missing():
             click.secho(missing, fg="yellow")

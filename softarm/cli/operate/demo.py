@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import model_option
 from softarm.cli.shared.printing import print_table, waiting
@@ -47,23 +46,22 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
 
     from softarm.daemon.logbook.exceeded import exceeded
     from softarm.daemon.logbook.logs import read
-    from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+    from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 
     leaves(f"twin and daemon have ended; the recording is in {logs}")
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
-    with failing(SoftwareInTheLoopError):
-        with contextlib.ExitStack() as both:
-            with waiting("starting the twin (the simulated robot) and the daemon; the very first start compiles"):
-                sil = both.enter_context(SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file))
-            path = sil.status()["recorder"]["log"]
-            console.print(f"watch it at {sil.url} (API: {sil.url}/docs), policy {policy}")
-            sil.arm()
-            console.print(f"armed; {targets} targets, each from the position where the last one ended\n")
-            results = [_fly(console, sil, number, goal) for number, goal in enumerate(goals, 1)]
-            sil.post("disarm")
-        log = read(path)
-        problems = exceeded(log.ticks(), log.config.limits)
+    with contextlib.ExitStack() as both:
+        with waiting("starting the twin (the simulated robot) and the daemon; the very first start compiles"):
+            sil = both.enter_context(SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file))
+        path = sil.status()["recorder"]["log"]
+        console.print(f"watch it at {sil.url} (API: {sil.url}/docs), policy {policy}")
+        sil.arm()
+        console.print(f"armed; {targets} targets, each from the position where the last one ended\n")
+        results = [_fly(console, sil, number, goal) for number, goal in enumerate(goals, 1)]
+        sil.post("disarm")
+    log = read(path)
+    problems = exceeded(log.ticks(), log.config.limits)
     rows = [
         (
             f"{result['y_m']:+.2f}, {result['z_m']:.2f}",

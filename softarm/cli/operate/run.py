@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.client import DEFAULT_URL, url_of
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves, left_now
 from softarm.cli.shared.options import config_option, flown_model, model_option, prepared
 
@@ -45,14 +44,8 @@ def run(
     """
     import logging
 
-    from softarm.common.plugins import PluginError
     from softarm.daemon import assembly
-    from softarm.daemon.access.auth import AuthError
-    from softarm.daemon.access.sockets import ApiError
-    from softarm.daemon.foxglove.publisher import FoxgloveError
-    from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.runtime.devices import real_devices, simulated_devices
-    from softarm.daemon.stop.latch import LatchError
 
     if config_file is None and not simulated:
         raise click.UsageError(
@@ -61,13 +54,12 @@ def run(
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     leaves("the daemon had not started")
-    with failing(PluginError, LatchError, RecorderError, FoxgloveError, ApiError, AuthError):
-        config = prepared(config_file, wires=not simulated, port=port)
-        publisher = None if foxglove is None else _publisher(config, foxglove)
-        if simulated:
-            ended = assembly.run(config, simulated_devices(flown_model(model_file)), announce, foxglove=publisher)
-        else:
-            ended = assembly.run(config, real_devices(config), announce, assembly.latch_of(config), publisher)
+    config = prepared(config_file, wires=not simulated, port=port)
+    publisher = None if foxglove is None else _publisher(config, foxglove)
+    if simulated:
+        ended = assembly.run(config, simulated_devices(flown_model(model_file)), announce, foxglove=publisher)
+    else:
+        ended = assembly.run(config, real_devices(config), announce, assembly.latch_of(config), publisher)
     if ended == signal.SIGINT:
         raise KeyboardInterrupt
     click.echo(f"ended: {left_now()}", err=True)

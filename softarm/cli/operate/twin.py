@@ -7,7 +7,6 @@ import click
 
 from softarm.cli.operate.robots import faulty_body, list_faults, wire_fault
 from softarm.cli.shared import completion
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import INTERRUPTED, leaves
 from softarm.cli.shared.options import FILE, flown_model, load_config, model_option
 from softarm.cli.shared.printing import print_json, print_option, waiting
@@ -58,18 +57,16 @@ def twin(
 
 def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults: tuple[str, ...]) -> None:
     from softarm.common import realtime
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.twin.main import run_twin
 
     leaves("the simulated robot has ended; a connected daemon stops and reports it")
-    with failing(DeviceError):
-        config = load_config(config_file)
-        on_wires = [wire_fault(text) for text in faults if "." not in text.partition("=")[0]]
-        model = flown_model(model_file)
-        body = faulty_body(model, reality, tuple(text for text in faults if "." in text.partition("=")[0]))
-        # Real devices do not wait for other programs of this computer.
-        realtime.outrank_other_programs(config.control.realtime_priority)
-        ended = asyncio.run(run_twin(config, body, on_wires, lambda text: click.echo(f"softarm twin: {text}")))
+    config = load_config(config_file)
+    on_wires = [wire_fault(text) for text in faults if "." not in text.partition("=")[0]]
+    model = flown_model(model_file)
+    body = faulty_body(model, reality, tuple(text for text in faults if "." in text.partition("=")[0]))
+    # Real devices do not wait for other programs of this computer.
+    realtime.outrank_other_programs(config.control.realtime_priority)
+    ended = asyncio.run(run_twin(config, body, on_wires, lambda text: click.echo(f"softarm twin: {text}")))
     if ended + 128 == INTERRUPTED:
         raise KeyboardInterrupt
 
@@ -92,16 +89,14 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
       softarm twin fault mocap_drop_body=link3 --config twin.yaml
       softarm twin fault clear --config twin.yaml
     """
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.twin.remote import switch
 
     if name == LIST:
         list_faults(reality=None)
         return
-    with failing(DeviceError):
-        message, endpoint = wire_fault(name), load_config(config_file).drivers.mocap.endpoint
-        with waiting(f"contacting the twin at {endpoint}"):
-            state = switch(endpoint, message)
+    message, endpoint = wire_fault(name), load_config(config_file).drivers.mocap.endpoint
+    with waiting(f"contacting the twin at {endpoint}"):
+        state = switch(endpoint, message)
     if as_json:
         print_json(state)
     else:

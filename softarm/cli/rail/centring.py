@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.rail.sources import Source
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -68,11 +68,9 @@ def report_centre(found: "Centre", config: "Config", file: Path, write: bool) ->
 
 def _write(found: "Centre", file: Path) -> None:
     from softarm.cli.shared.options import write
-    from softarm.common.yaml_lines import FileError
     from softarm.daemon.config.edit import with_values
 
-    with failing(FileError):
-        text = with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), found.values)
+    text = with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), found.values)
     write(file, text)
     click.echo(
         f"next: restart the daemon; `softarm doctor --config {file}` shows the distance between axis and cameras"

@@ -8,7 +8,7 @@ from softarm.cli.rail import sources as rail_sources
 from softarm.cli.rail.centring import pushed, report_centre
 from softarm.cli.rail.exclusive import only_one, relay_held
 from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, report_homed, searched
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, load_config, token_of, token_option, url_option
 from softarm.cli.verbs import Verbs
@@ -56,7 +56,6 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
       softarm rail home --config softarm.yaml --speed 0.02 --yes
       softarm rail home --config softarm.yaml --reset-fault      after a limit switch, or another fault
     """
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.rail.commissioning.session import DriveSession
     from softarm.drivers.rail.settings import settings_of
 
@@ -67,7 +66,6 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
     with (
         only_one(config),
         relay_held(config, relay) as hold,
-        failing(DeviceError),
         DriveSession(settings_of(config.drivers.rail), on_exchange=hold) as drive,
     ):
         ready(drive, reset_fault, relay)

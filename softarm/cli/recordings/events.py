@@ -10,7 +10,6 @@ import click
 
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import logs
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import clock
 
@@ -61,10 +60,8 @@ def _recorded(log: Path) -> Iterable[Json]:
     from pydantic import TypeAdapter
 
     from softarm.daemon.logbook import logs
-    from softarm.recordings.mcap_file import LogError
     from softarm.schemas.events import Entry
 
     adapter = TypeAdapter(Entry)
-    with failing(LogError):
-        for entry in logs.read(log).entries():
-            yield adapter.dump_python(entry, mode="json")
+    for entry in logs.read(log).entries():
+        yield adapter.dump_python(entry, mode="json")

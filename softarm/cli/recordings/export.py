@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail, failing, writing
+from softarm.cli.shared.errors import fail, writing
 from softarm.cli.shared.options import FILE
 from softarm.common.processes import bar
 
@@ -46,12 +46,10 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
       softarm logs export --to parquet --out flights logs/*.mcap
     """
     from softarm.daemon.logbook import logs
-    from softarm.diagnosis.data.trials import TrialError
-    from softarm.recordings.mcap_file import LogError
 
     for file in files:
         try:
-            with failing(LogError, TrialError), writing("choose another --out"):
+            with writing("choose another --out"):
                 log = logs.read(file)
                 out.mkdir(parents=True, exist_ok=True)
                 if to == "foxglove":

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.completion import logs
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
@@ -31,16 +30,13 @@ def replay(files: tuple[Path, ...]) -> None:
     from softarm.daemon.runtime.replay import describe
     from softarm.daemon.runtime.replay import replay as replay_log
     from softarm.policies import registry
-    from softarm.policies.base import PolicyError
-    from softarm.recordings.mcap_file import LogError
 
     leaves("nothing was changed")
-    with failing(LogError, PolicyError):
-        parts = recordings.parts(files)
-        config = parts[0].config
-        ticks = chain.from_iterable(part.ticks() for part in parts)
-        with waiting("running the log through the tick again"):
-            replayed = replay_log(ticks, config, lambda name: registry.load(name, config.policies))
+    parts = recordings.parts(files)
+    config = parts[0].config
+    ticks = chain.from_iterable(part.ticks() for part in parts)
+    with waiting("running the log through the tick again"):
+        replayed = replay_log(ticks, config, lambda name: registry.load(name, config.policies))
     for part in parts:
         click.echo(part.ending)
     *sentences, outcome = describe(replayed)

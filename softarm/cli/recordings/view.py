@@ -5,7 +5,6 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import failing
 from softarm.cli.shared.options import FILE, write
 
 
@@ -30,7 +29,6 @@ def view(log: Path | None, out: Path | None, to_open: bool, layout: Path | None)
     from softarm.daemon.logbook import logs
     from softarm.recordings import player
     from softarm.recordings.foxglove import export
-    from softarm.recordings.mcap_file import LogError
 
     if layout is not None:
         write(layout, export.layout())
@@ -38,10 +36,9 @@ def view(log: Path | None, out: Path | None, to_open: bool, layout: Path | None)
         if layout is None:
             raise click.UsageError("which log? `softarm logs` lists them")
         return
-    with failing(LogError):
-        opened = logs.read(log)
-        with progress(opened) as advance:
-            page = player.page(opened, opened.entries(), advance)
+    opened = logs.read(log)
+    with progress(opened) as advance:
+        page = player.page(opened, opened.entries(), advance)
     out = out or Path(f"{log.stem}.html")
     write(out, page)
     if to_open and not webbrowser.open(out.absolute().as_uri()):

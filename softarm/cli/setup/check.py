@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.setup.check_stage import check_stage
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FOLDER
 from softarm.cli.shared.printing import print_json, print_option, print_table, waiting
@@ -73,9 +73,8 @@ def _too_lax(loaded: "Loaded", folder: Path, quiet: bool) -> list[str]:
     """Return a sentence for each rail limit that is laxer than the logs show; print all limits unless `quiet`."""
     from softarm.daemon.limits.findings import findings
     from softarm.recordings import rail_motion
-    from softarm.recordings.mcap_file import LogError
 
-    with failing(LogError), waiting(f"reading the logs in {folder}"):
+    with waiting(f"reading the logs in {folder}"):
         motions = [rail_motion.read(path) for path in sorted(folder.glob("*.mcap"))]
     if not motions:
         fail(f"{folder}: contains no log; name the recorder.directory, or another folder with .mcap files of the robot")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.printing import print_table
 
 if TYPE_CHECKING:
@@ -20,8 +20,7 @@ def check_stage(file: Path, data: Path | None) -> None:
     from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.rigs.diagnose import view_of
 
-    with failing(TrialError):
-        trials = tables.read(file, data)
+    trials = tables.read(file, data)
     columns = ("trial", "kind", "channel", "rows", "seconds", "column", "from", "to", "unit")
     print_table(columns, [row for trial in trials for row in _rows(trial)], f"{file}: contents", width=140)
     stages = {trial.stage.name: trial.stage.kind for trial in trials if trial.stage is not None}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 from softarm.cli.shared.options import FILE, load_config
 from softarm.cli.verbs import Verbs
 
@@ -46,7 +46,7 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
       sudo /opt/softarm/.venv/bin/softarm service install --uninstall
     """
     from softarm.daemon.install import here, plan
-    from softarm.daemon.install.steps import Keep, StepError
+    from softarm.daemon.install.steps import Keep
 
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,31}", user):
         raise click.BadParameter(
@@ -54,15 +54,14 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
         )
     if os.geteuid() != 0 and root == Path("/") and not dry_run:
         fail("root is required: put `sudo` before this command's full path, or use --dry-run or --root FOLDER")
-    with failing(StepError):
-        system = here.look(root)
-        steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
-        for step in steps:
-            click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step.summary}")
-            if dry_run:
-                click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
-            else:
-                step.carry_out()
+    system = here.look(root)
+    steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
+    for step in steps:
+        click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step.summary}")
+        if dry_run:
+            click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
+        else:
+            step.carry_out()
     _print_next(system, steps, dry_run, uninstall)
 
 

@@ -1,4 +1,8 @@
-"""Errors of verbs: one sentence on standard error and exit code 1. Usage errors are click's and exit with 2."""
+"""Errors of verbs: one sentence on standard error and exit code 1. Usage errors are click's and exit with 2.
+
+An exception class of any module of softarm has such a sentence as its text, and `LazyGroup` ends the verb with it. A
+verb itself handles Python's own exceptions, with `failing` and `writing`, where their text is such a sentence.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

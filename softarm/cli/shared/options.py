@@ -9,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.errors import fail, failing, writing
+from softarm.cli.shared.errors import fail, writing
 from softarm.common import files
 
 if TYPE_CHECKING:
@@ -50,11 +50,10 @@ def typed() -> list[str]:
 
 def load_config(file: Path | None) -> "Config":
     """Return the configuration of a file, the defaults without one; end the command with all mistakes of the file."""
-    from softarm.daemon.config.configuration import ConfigurationError, load
+    from softarm.daemon.config.configuration import load
     from softarm.schemas.config import Config
 
-    with failing(ConfigurationError):
-        return Config() if file is None else load(file)
+    return Config() if file is None else load(file)
 
 
 def prepared(file: Path | None, wires: bool, port: int | None = None) -> "Config":
@@ -77,8 +76,7 @@ def load_model(file: Path) -> "Model":
     """Return a model by its file or shipped name; end the command with a sentence if it is missing or invalid."""
     from softarm.simulator import model_file
 
-    with failing(model_file.ModelFileError):
-        return model_file.load(file)
+    return model_file.load(file)
 
 
 def flown_model(file: Path | None) -> "Model | None":

@@ -10,10 +10,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from click.testing import CliRunner
 
-from softarm.cli.learn.checkpoint import export as export_command
-from softarm.cli.learn.train import train
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import METADATA_KEY
 from softarm.training.learn import validation
@@ -27,6 +24,7 @@ from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session, averaged_share
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
+from tests.cli.invoke import invoke
 
 TASK = TASKS["reach"]
 SMALL = TrainingConfig(seed=3, robots=64, validate_every=2, validation_trials=24)
@@ -241,25 +239,25 @@ def test_a_trial_counts_once_and_has_its_closest_distance():
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_the_commands_train_and_export(tmp_path):
-    runner, out = CliRunner(), tmp_path / "run"
-    arguments = ["reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
-    result = runner.invoke(train, arguments)
+    out = tmp_path / "run"
+    arguments = ["train", "reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
+    result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     assert "softarm evaluate --policy my-reach" in result.output
     assert "report.html" in result.output
     for name in ("reach.onnx", "report.html", "tip_paths.png", "tensorboard"):
         assert (out / name).exists()
 
-    again = runner.invoke(train, arguments)
+    again = invoke(*arguments)
     assert again.exit_code == 1
     assert "--resume" in again.output
 
     exported = tmp_path / "copy.onnx"
-    result = runner.invoke(export_command, [str(out / "best.pt"), "--out", str(exported)])
+    result = invoke("export", out / "best.pt", "--out", exported)
     assert result.exit_code == 0, result.output
     metadata = {p.key: p.value for p in onnx.load(exported).metadata_props}
     assert json.loads(metadata[METADATA_KEY])["seed"] == 5
 
-    result = runner.invoke(export_command, [str(tmp_path / "missing.pt"), "--out", str(exported)])
+    result = invoke("export", tmp_path / "missing.pt", "--out", exported)
     assert result.exit_code == 1
     assert "no such checkpoint" in result.output

@@ -6,13 +6,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from click.testing import CliRunner
 
-from softarm.cli.learn.train import train as train_command
 from softarm.training.learn.inference import workers
 from softarm.training.run import sweep
 from softarm.training.run.recipe import RECIPES, Recipe, begin, prepare
 from softarm.training.run.sweep import Result, SweepError
+from tests.cli.invoke import invoke
 
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 TINY = {"run.robots": 16, "run.validate_every": 2, "run.validation_trials": 12}
@@ -60,7 +59,7 @@ def test_a_restarted_sweep_skips_finished_runs(file, tmp_path):
 def test_options_of_a_single_run_are_refused_for_a_sweep(file, tmp_path):
     out = ["--out", str(tmp_path / "out")]
     beside = ["reach", "--seed", "1", "--robots", "16", "--device", "cpu", "--resume"]
-    result = CliRunner().invoke(train_command, ["--sweep", str(file), *out, *beside])
+    result = invoke("train", "--sweep", file, *out, *beside)
     assert result.exit_code == 1
     for part in ("TASK", "--seed", "--robots", "--device", "--resume", "seeds: [1]", "run.robots"):
         assert part in result.output
@@ -119,7 +118,7 @@ def test_an_invalid_sweep_is_refused_before_any_run(tmp_path, text, words):
     with pytest.raises(SweepError, match=r"bad\.yaml") as caught:
         sweep.load(path)
     assert words in str(caught.value)
-    result = CliRunner().invoke(train_command, ["--sweep", str(path), "--out", str(tmp_path / "out")])
+    result = invoke("train", "--sweep", path, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert words.split("'")[0] in result.output
 

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import onnx
 import pytest
-from click.testing import CliRunner
 
-from softarm.cli.learn.train import train
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.simulator import model_file
@@ -21,6 +19,7 @@ from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
 from softarm.training.task.reach import TASKS
+from tests.cli.invoke import invoke
 
 REACH = TASKS["reach"]
 EXACT = replace(REACH, rail_guard=False, action_noise=0.0)
@@ -227,10 +226,10 @@ def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
     monkeypatch.setattr("softarm.training.run.recipe.Session", session)
     model_file.save(strong(), tmp_path / "blurred.yaml")
     for name in (str(tmp_path / "blurred.yaml"), "no-delay"):
-        assert "enough" in CliRunner().invoke(train, ["reach", "--model", name]).output
+        assert "enough" in invoke("train", "reach", "--model", name).output
     assert [each[6:8] for each in given] == [(strong(), "blurred"), (model_file.load("no-delay"), "no-delay")]
     assert [each[3].name for each in given] == ["reach-blurred-1", "reach-no-delay-1"]  # no run in another's folder
-    result = CliRunner().invoke(train, ["reach", "--model", "no-dely"])
+    result = invoke("train", "reach", "--model", "no-dely")
     assert result.exit_code == 1
     assert "did you mean no-delay?" in result.output
 
