@@ -1,5 +1,6 @@
 """A log of rail readings, complete and as a kill leaves it."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -12,12 +13,13 @@ from softarm.schemas.messages import RailReading
 READINGS = [RailReading(n * 100_000_000, n / 7, float("nan") if n == 3 else -0.0, True) for n in range(30)]
 
 
-def write(path: Path, readings=READINGS) -> Path:
+def write(path: Path, messages: Iterable[tuple[int, bytes]]) -> Path:
+    """Write messages of the rail, each with its stamp, as a daemon does that is then killed."""
     with path.open("wb") as file:
         live = LiveFile(file, [RAIL])
         live.note("machine", {"name": "a test's"})
-        for reading in readings:
-            live.add(LogMessage(RAIL.topic, reading.t_receive_ns, reading.t_receive_ns, RAIL.encode(reading)))
+        for stamp_ns, data in messages:
+            live.add(LogMessage(RAIL.topic, stamp_ns, stamp_ns, data))
         live.flush()
     return path
 
@@ -41,4 +43,4 @@ def readings():
 @pytest.fixture
 def killed(tmp_path):
     """Log of a killed daemon, without chunks and end."""
-    return write(tmp_path / "killed.mcap")
+    return write(tmp_path / "killed.mcap", ((each.t_receive_ns, RAIL.encode(each)) for each in READINGS))

@@ -3,9 +3,8 @@
 import pytest
 
 from softarm.recordings import flight
-from softarm.recordings.channels import RAIL
-from softarm.recordings.live import LiveFile, LogMessage
 from softarm.recordings.mcap_file import LogError
+from tests.recordings.conftest import write
 
 
 def test_each_tick_has_the_newest_data(flight_file, log):
@@ -22,9 +21,7 @@ def test_every_message_reports_progress(flight_file, log):
 
 def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):
     assert flight.first_stamp_ns(killed) == readings[0].t_receive_ns
-    empty = tmp_path / "empty.mcap"
-    with empty.open("wb") as file:
-        LiveFile(file, [RAIL]).flush()
+    empty = write(tmp_path / "empty.mcap", ())
     with pytest.raises(LogError, match=r"empty\.mcap: holds nothing to show; was the daemon stopped before its first"):
         flight.first_stamp_ns(empty)
 
@@ -35,11 +32,7 @@ def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(
     ids=["field", "json"],
 )
 def test_a_message_of_another_kind_is_reported_with_its_place(tmp_path, data, what):
-    odd = tmp_path / "odd.mcap"
-    with odd.open("wb") as file:
-        live = LiveFile(file, [RAIL])
-        live.add(LogMessage(RAIL.topic, 1, 1, data))
-        live.flush()
+    odd = write(tmp_path / "odd.mcap", [(1, data)])
     with pytest.raises(
         LogError, match=rf"odd\.mcap: a message on /rail: {what}.*; was it edited, or recorded by another"
     ):

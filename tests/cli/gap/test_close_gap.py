@@ -17,7 +17,6 @@ QUIET = {"pressure": Quantity(value=0.1, unit="kPa")}
 NONE = Verdict(
     verdict="none",
     where=Where(stage=None, share={}, regime="nowhere"),
-    effects=(),
     gap=Gap(before=QUIET, after=QUIET, floor=QUIET, ceiling={}),
 )
 

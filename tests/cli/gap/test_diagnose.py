@@ -11,44 +11,37 @@ from softarm.daemon.config import configuration
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import (
-    CalibratedParameter,
-    Estimate,
-    Gap,
-    Interval,
-    NamedEffect,
-    NextExperiment,
-    Quantity,
-    Shrink,
-    Verdict,
-    Where,
-)
+from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 from tests.cli.trial_folder import write_trial
 
-HALF = Interval(value=0.5, low=0.4, high=0.6)
-NAMED = Verdict(
-    verdict="named",
-    where=Where(stage="pressure", share={"pressure": 1.0}, regime="deflating"),
-    effects=(
-        NamedEffect(
-            name="pressure.dead_time",
-            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
-            confidence=0.9,
-            shrink=Shrink(stage=HALF),
-        ),
-    ),
-    gap=Gap(
-        before={"pressure": Quantity(value=2.0, unit="kPa")},
-        after={"pressure": Quantity(value=1.0, unit="kPa")},
-        floor={"pressure": Quantity(value=0.2, unit="kPa")},
-        ceiling={},
-    ),
-    next_experiment=NextExperiment(
-        excitation="pressure-multisine", separates=("pressure.lag",), expect={"pressure.lag": "a slope at once"}
-    ),
-    warnings=("one frame is missing",),
+NAMED = Verdict.model_validate(
+    {
+        "verdict": "named",
+        "where": {"stage": "pressure", "share": {"pressure": 1.0}, "regime": "deflating"},
+        "effects": [
+            {
+                "name": "pressure.dead_time",
+                "parameters": {"delay": {"value": 0.06, "low": 0.05, "high": 0.07, "unit": "s"}},
+                "confidence": 0.9,
+                "shrink": {"stage": {"value": 0.5, "low": 0.4, "high": 0.6}},
+            }
+        ],
+        "gap": {
+            "before": {"pressure": {"value": 2.0, "unit": "kPa"}},
+            "after": {"pressure": {"value": 1.0, "unit": "kPa"}},
+            "calibrated": {"pressure": {"value": 0.8, "unit": "kPa"}},
+            "floor": {"pressure": {"value": 0.2, "unit": "kPa"}},
+            "ceiling": {},
+        },
+        "next_experiment": {
+            "excitation": "pressure-multisine",
+            "separates": ["pressure.lag"],
+            "expect": {"pressure.lag": "a slope at once"},
+        },
+        "warnings": ["one frame is missing"],
+    }
 )
 WHOLE = Model(effects={"arm.stiffness": {"scale": 0.02}})
 UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})
@@ -177,20 +170,9 @@ def test_campaigns_with_different_models_need_the_model_option(asked, tmp_path):
 
 
 def test_the_tolerance_of_a_calibrated_parameter_is_printed(asked, tmp_path):
-    found = CalibratedParameter(
-        name="rail.lag.time",
-        nominal=0.02,
-        value=0.024,
-        low=0.022,
-        high=0.026,
-        unit="s",
-        tolerance_low=0.016,
-        tolerance_high=0.024,
-        at_edge=True,
-        shrink=0.2,
-    )
-    gap = NAMED.gap.model_copy(update={"calibrated": {"pressure": Quantity(value=0.8, unit="kPa")}})
-    asked.verdict = NAMED.model_copy(update={"calibration": (found,), "gap": gap})
+    found = {"name": "rail.lag.time", "unit": "s", "nominal": 0.02, "value": 0.024, "low": 0.022, "high": 0.026}
+    found |= {"tolerance_low": 0.016, "tolerance_high": 0.024, "at_edge": True, "shrink": 0.2}
+    asked.verdict = Verdict.model_validate(NAMED.model_dump() | {"calibration": [found]})
     output = " ".join(invoke("diagnose", write_trial(tmp_path / "c" / "a")).output.replace("│", "").split())
     assert "rail.lag.time 20 ms 24.0 ms (22.0 to 26.0) 16 to 24 ms, at the edge" in output
 

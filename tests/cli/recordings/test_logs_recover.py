@@ -4,9 +4,9 @@ import pytest
 
 from softarm.recordings import finishing, mcap_file
 from softarm.recordings.channels import RAIL
-from softarm.recordings.live import LiveFile, LogMessage
 from softarm.schemas.messages import RailReading
 from tests.cli.invoke import invoke
+from tests.recordings.conftest import write
 
 
 @pytest.fixture
@@ -14,11 +14,7 @@ def cut_off(tmp_path):
     """Return a log as a killed daemon leaves it: no index, the last record incomplete."""
     path = tmp_path / "logs" / "softarm-20260101T000000Z.mcap"
     path.parent.mkdir()
-    with path.open("wb") as file:
-        live = LiveFile(file, [RAIL])
-        for n in range(100):
-            live.add(LogMessage(RAIL.topic, n, n, RAIL.encode(RailReading(n, n / 7, 0.0, True))))
-        live.flush()
+    write(path, ((n, RAIL.encode(RailReading(n, n / 7, 0.0, True))) for n in range(100)))
     path.write_bytes(path.read_bytes()[:-5])
     return path
 
