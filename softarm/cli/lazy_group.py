@@ -10,7 +10,7 @@ import click
 
 from softarm.cli.shared.compiling import compilation_announced
 from softarm.cli.shared.errors import fail
-from softarm.cli.shared.interrupt import INTERRUPTED, interrupted
+from softarm.cli.shared.interrupt import INTERRUPTED, left_now
 from softarm.cli.verbs import Verbs
 
 DEFECT = 70  # exit code of a defect in softarm (EX_SOFTWARE of sysexits.h)
@@ -68,7 +68,8 @@ class LazyGroup(Verbs):
         except ModuleNotFoundError as error:
             self._explain_missing(ctx.invoked_subcommand or "", error)
         except (KeyboardInterrupt, click.Abort):
-            click.echo(f"\n{interrupted()}", err=True)
+            left = left_now()
+            click.echo(f"\ninterrupted: {left}" if left else "\ninterrupted", err=True)
             ctx.exit(INTERRUPTED)
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise

@@ -6,18 +6,6 @@ the cart at the middle of the rail, inside +-0.20 m; the daemon's safety filter 
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
-
-
-class Segment(Protocol):
-    """One segment of a signal."""
-
-    @property
-    def duration_s(self) -> float:
-        """Return the duration of the segment, s."""
-
-    def at(self, t_s: float) -> float:
-        """Return the value at a time within the segment, 0 <= t_s <= duration_s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +72,7 @@ class Multisine:
         return self.mean + max(-self.amplitude, min(self.amplitude, each * sum(map(math.cos, phases))))
 
 
+Segment = Ramp | Square | Chirp | Multisine  # `at` takes a time from 0 to `duration_s`
 Signal = tuple[Segment, ...]
 
 
@@ -138,11 +127,6 @@ def _steps(speed_m_s: float, half_s: float) -> Signal:
         Ramp(half_s, speed_m_s, speed_m_s),
         rest,
     )
-
-
-def _sine(seconds: float, amplitude: float, hz: float) -> Signal:
-    """A velocity that moves the cart to one side and back, amplitude / (pi hz) metres far."""
-    return (Chirp(seconds, 0.0, amplitude, hz, hz),)
 
 
 def _dashes(count: int) -> Signal:
@@ -223,7 +207,7 @@ EXCITATIONS: dict[str, Excitation] = {
             "both",
             "muscle and cart at once: a chirp of the pressure over a sine of the cart",
             (Ramp(1.0, 0.0, 0.0), Chirp(12.0, 9.0, 8.0, 0.3, 2.0), _REST),
-            (Ramp(1.0, 0.0, 0.0), *_sine(12.0, 0.3, 0.75), _REST),
+            (Ramp(1.0, 0.0, 0.0), Chirp(12.0, 0.0, 0.3, 0.75, 0.75), _REST),
         ),
     )
 }

@@ -1,5 +1,6 @@
 """`softarm close-gap`: diagnose recordings of a robot, patch the simulator and retrain a policy in it."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,7 +95,7 @@ def close_gap(
         if clock := [name for name in (found.patched.effects if found.patched else ()) if name.startswith("clock.")]:
             warn(f"{', '.join(clock)}: used in training, not in flights, which run the real control loop")
         own = bool(faults) or robot != REALITY
-        through = through_wires(Bench(config_file, twin, robot, own, yes, goals, out, spent))
+        through = partial(through_wires, Bench(config_file, twin, robot, own, yes, goals, out, spent))
         closed = steps.close(found, rail, file, out, held_out, own, recipe, spent, replanned=mppi, through=through)
     _show(closed, spent, out)
     if advise(closed).fly == "old":

@@ -1,7 +1,6 @@
 """Flights of `softarm close-gap --config` on real interfaces, after a person has agreed."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,20 +40,16 @@ def check_wires(config_file: Path | None, twin: bool, yes: bool) -> None:
         click.echo(f"{config_file}: its robot will not move without confirmation; add --yes or --twin", err=True)
 
 
-def through_wires(bench: Bench) -> "Callable[[Closed], Wires | None]":
-    """Return a function that flies through the wires after all other flights; it returns None without --config."""
+def through_wires(bench: Bench, closed: "Closed") -> "Wires | None":
+    """Fly through the wires after all other flights; return None without --config."""
+    from softarm.evaluation.closing import wires
 
-    def through(closed: "Closed") -> "Wires | None":
-        from softarm.evaluation.closing import wires
-
-        if bench.config_file is None or closed.retrained is None:
-            return None
-        title = f"the robot of {bench.config_file.name}"
-        if not bench.twin and (why := _refusal(bench, closed)):
-            return wires.Wires.unflown(title, why)
-        return _flown(bench, closed, title)
-
-    return through
+    if bench.config_file is None or closed.retrained is None:
+        return None
+    title = f"the robot of {bench.config_file.name}"
+    if not bench.twin and (why := _refusal(bench, closed)):
+        return wires.Wires.unflown(title, why)
+    return _flown(bench, closed, title)
 
 
 def _refusal(bench: Bench, closed: "Closed") -> str | None:

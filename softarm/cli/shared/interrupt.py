@@ -18,8 +18,3 @@ def left_now() -> str:
     """Return the text set with `leaves`, or an empty text."""
     what = click.get_current_context().meta.get(_KEY, "")
     return str(what() if callable(what) else what)
-
-
-def interrupted() -> str:
-    """Return the message to print after Ctrl-C."""
-    return f"interrupted: {left}" if (left := left_now()) else "interrupted"

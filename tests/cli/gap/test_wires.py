@@ -47,33 +47,33 @@ def terminal(monkeypatch):
 
 
 def test_without_a_configuration_nothing_moves(terminal):
-    assert wires.through_wires(bench(file=None))(CLOSED) is None
-    assert wires.through_wires(bench())(SimpleNamespace(retrained=None)) is None
+    assert wires.through_wires(bench(file=None), CLOSED) is None
+    assert wires.through_wires(bench(), SimpleNamespace(retrained=None)) is None
     assert terminal.asked == []
 
 
 def test_a_robot_moves_only_after_a_person_confirms(terminal, capsys):
-    still = wires.through_wires(bench())(CLOSED)
+    still = wires.through_wires(bench(), CLOSED)
     assert (still.title, still.ended, still.flights) == ("the robot of softarm.yaml", "not confirmed", 0)
     assert "Fly the retrained one.\nThe robot of softarm.yaml will move" in capsys.readouterr().err
     terminal.confirms = True
-    assert wires.through_wires(bench())(CLOSED) == "flown"
+    assert wires.through_wires(bench(), CLOSED) == "flown"
     assert terminal.asked == ["Is the area clear, and is a person at the emergency stop?"] * 2
 
 
 def test_the_yes_option_skips_the_question_and_prints_the_motion(terminal, capsys):
-    assert wires.through_wires(bench(yes=True))(CLOSED) == "flown"
+    assert wires.through_wires(bench(yes=True), CLOSED) == "flown"
     assert terminal.asked == []
     assert "The robot of softarm.yaml will move" in capsys.readouterr().err
 
 
 def test_a_twin_needs_no_confirmation(terminal):
-    assert wires.through_wires(bench(twin=True))(closed(Config())) == "flown"
+    assert wires.through_wires(bench(twin=True), closed(Config())) == "flown"
     assert terminal.asked == []
 
 
 def test_unknown_limits_refuse_motion_even_with_the_yes_option(terminal):
-    still = wires.through_wires(bench(yes=True))(closed(Config()))
+    still = wires.through_wires(bench(yes=True), closed(Config()))
     assert still.ended.startswith("limits.rail.latency_s is neither configured nor measured")
     assert terminal.flown == []
 
@@ -82,6 +82,6 @@ def test_a_missing_terminal_is_reported_before_the_long_work(terminal, monkeypat
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     wires.check_wires(Path("softarm.yaml"), twin=False, yes=False)
     assert "softarm.yaml: its robot will not move without confirmation; add --yes or --twin" in capsys.readouterr().err
-    assert wires.through_wires(bench())(CLOSED).ended == "not confirmed, since there is no terminal; add --yes"
+    assert wires.through_wires(bench(), CLOSED).ended == "not confirmed, since there is no terminal; add --yes"
     wires.check_wires(Path("softarm.yaml"), twin=True, yes=False)
     assert capsys.readouterr().err == ""
