@@ -1,7 +1,7 @@
 """Templates of `softarm new`: the package of a plug-in, with a test that flies it.
 
-Files that end in `.in` are `string.Template`s with `$name` as typed, `$project`, `$module`, `$class_name`, and
-`$version` of this softarm.
+Files that end in `.in` are `string.Template`s with `$name` as typed, `$project`, `$module`, `$class_name`,
+`$version` of this softarm, and the fields of `Kind`.
 """
 
 import keyword
@@ -15,7 +15,20 @@ from softarm import __version__
 from softarm.common import files
 from softarm.common.plugins import PluginError
 
-KINDS = ("policy", "task", "source")
+
+class Kind(NamedTuple):
+    """Parts of `pyproject.toml` that differ between the kinds of plug-ins."""
+
+    description: str
+    group: str  # of the entry point
+    extra: str  # of softarm, for the plug-in's test
+
+
+KINDS = {
+    "policy": Kind("A policy for softarm", "softarm.policies", "sim"),
+    "task": Kind("A task for softarm's training", "softarm.tasks", "train"),
+    "source": Kind("A source of motion capture for softarm", "softarm.mocap_sources", "sim"),
+}
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 LONGEST = 40
 
@@ -45,16 +58,15 @@ class Package(NamedTuple):
     def texts(self) -> dict[str, str]:
         """Return the text of each file by its path in the package."""
         templates = {
-            "pyproject.toml": "pyproject.toml",
-            "README.md": "README.md",
-            f"{self.module}.py": "module.py",
-            f"tests/test_{self.module}.py": "test.py",
+            "pyproject.toml": "pyproject.toml.in",
+            "README.md": f"{self.kind}/README.md.in",
+            f"{self.module}.py": f"{self.kind}/module.py.in",
+            f"tests/test_{self.module}.py": f"{self.kind}/test.py.in",
         }
         values = {"name": self.name, "project": self.project, "module": self.module, "class_name": self.class_name}
-        values["version"] = ".".join(__version__.split(".")[:2])
-        source = Path(__file__).parent / self.kind
+        values |= {"version": ".".join(__version__.split(".")[:2]), **KINDS[self.kind]._asdict()}
         return {
-            place: Template((source / f"{file}.in").read_text(encoding="utf-8")).substitute(values)
+            place: Template((Path(__file__).parent / file).read_text(encoding="utf-8")).substitute(values)
             for place, file in templates.items()
         }
 
