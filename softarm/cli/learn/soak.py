@@ -10,7 +10,7 @@ import click
 from softarm.cli.shared.completion import policies
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, check_places, json_option, write, write_json
+from softarm.cli.shared.options import FILE, FOLDER, check_places, json_option, write, write_json
 
 
 @click.command()
@@ -21,7 +21,7 @@ from softarm.cli.shared.options import FILE, check_places, json_option, write, w
 @json_option
 @click.option("--report", type=FILE, help="Write the curves as one HTML file.")
 @click.option("--allow-undecided", is_flag=True, help="Exit with 0 although the run was too short to decide on growth.")
-@click.option("--logs", type=click.Path(path_type=Path, file_okay=False), help="Keep the recordings in this folder.")
+@click.option("--logs", type=FOLDER, help="Keep the recordings in this folder.")
 def soak(
     hours: float,
     lockstep_days: float,

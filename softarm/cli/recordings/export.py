@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.errors import fail, writing
-from softarm.cli.shared.options import FILE
+from softarm.cli.shared.options import FILE, FOLDER
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ LAYOUT = "softarm-layout.json"
 @click.option("--to", type=click.Choice(FORMS), required=True, help="Target format.")
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default="exported",
     show_default=True,
     help="Folder to write to; earlier exports there are replaced.",

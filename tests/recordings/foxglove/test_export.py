@@ -3,7 +3,6 @@
 import hashlib
 import json
 from datetime import UTC, datetime
-from importlib.resources import files
 
 import jsonschema
 import pytest
@@ -167,7 +166,3 @@ def leaves(node):
 def test_the_schemas_are_those_of_the_package(converted, topic, digest):
     """The digests are those of the package's files, with one space of indentation."""
     assert hashlib.sha256(converted.schemas[topic].data).hexdigest().startswith(digest)
-
-
-def test_the_schemas_come_with_their_licence():
-    assert "MIT License" in (files("softarm.recordings.foxglove") / "schemas" / "LICENSE").read_text()
