@@ -105,11 +105,7 @@ def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "name", "text"),
     [
-        (
-            "policy",
-            "Lean",
-            "'Lean' is no valid name of a policy: allowed are lower-case letters, digits and single hyphens",
-        ),
+        ("policy", "Lean", "'Lean' is no valid name of a policy: allowed are lower-case letters, digits and single"),
         ("policy", "../lean", "allowed are lower-case letters"),
         ("policy", "l" * 41, "at most 40 characters"),
         ("policy", "lambda", "'lambda' is a keyword of Python; choose another name, such as my-lambda"),
