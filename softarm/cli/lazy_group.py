@@ -40,22 +40,16 @@ class LazyGroup(Verbs):
         return list(self._verbs)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a verb's module and return its command."""
+        """Import a verb's module and return its command; explain a missing package."""
         if (verb := self._verbs.get(cmd_name)) is None:
             return None
         module, _, attribute = verb.target.partition(":")
-        command = getattr(import_module(f"softarm.cli.{module}"), attribute)
+        try:
+            command = getattr(import_module(f"softarm.cli.{module}"), attribute)
+        except ModuleNotFoundError as error:
+            self._explain_missing(cmd_name, error)
         assert isinstance(command, click.Command)
         return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb; explain a missing package or suggest the nearest name."""
-        try:
-            return super().resolve_command(ctx, args)
-        except ModuleNotFoundError as error:
-            self._explain_missing(args[0], error)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb and end it with a sentence for an error of softarm's own kinds and for Ctrl-C.
