@@ -45,14 +45,18 @@ def recover(path: Path | str, pause: Callable[[], None] = lambda: None) -> LogFi
     """
     path = Path(path)
     with path.open("rb") as file:
-        if not mcap_file.is_finished(path) and _lock(file.fileno()):
+        if not mcap_file.is_finished(path) and hold(file.fileno()):
             finish(path, pause)
     return LogFile.open(path)
 
 
-def hold(descriptor: int) -> None:
-    """Lock an open log as being written, until this process ends."""
-    _lock(descriptor)
+def hold(descriptor: int) -> bool:
+    """Lock an open log as being written until it is closed; return False if it is locked already."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def is_held(path: Path) -> bool:
@@ -62,15 +66,7 @@ def is_held(path: Path) -> bool:
         OSError: The file cannot be read.
     """
     with path.open("rb") as file:
-        return not _lock(file.fileno())
-
-
-def _lock(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
+        return not hold(file.fileno())
 
 
 def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> None:

@@ -1,6 +1,5 @@
 """`softarm logs`: list, recover and export the daemon's recordings."""
 
-from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -64,36 +63,32 @@ def recover(paths: tuple[Path, ...]) -> None:
     if not files:
         fail(f"{', '.join(map(str, paths))}: no logs there; give the recorder's directory or a log")
     leaves("repaired logs stay repaired; the others are unchanged")
-    problems = []
+    failed = False
     for file in files:
-        for sentence, mended in _recovered(file):
-            click.echo(sentence, err=not mended)
-            problems += [] if mended else [sentence]
-    if problems:
+        sentence, is_valid = _recovered(file)
+        click.echo(sentence, err=not is_valid)
+        failed = failed or not is_valid
+    if failed:
         raise SystemExit(1)
 
 
-def _recovered(path: Path) -> Iterator[tuple[str, bool]]:
-    """Repair one log; yield a sentence about it and whether the log is valid now."""
+def _recovered(path: Path) -> tuple[str, bool]:
+    """Repair one log; return a sentence about it and whether the log is valid now."""
     from softarm.recordings import finishing, mcap_file
 
     try:
         if mcap_file.is_finished(path):
-            yield f"{path}: is finished, nothing to repair", True
-            return
+            return f"{path}: is finished, nothing to repair", True
         if finishing.is_held(path):
-            yield f"{path}: is being written by a running daemon, left alone", True
-            return
+            return f"{path}: is being written by a running daemon, left alone", True
         before = path.stat().st_size
         log = finishing.recover(path)
     except OSError as error:
-        yield f"{path}: cannot be repaired ({error.strerror}): free disk space, or make file and folder writable", False
-        return
+        remedy = "free disk space, or make file and folder writable"
+        return f"{path}: cannot be repaired ({error.strerror}): {remedy}", False
     except mcap_file.LogError as error:
-        yield str(error), False
-        return
-    if log.finished:
-        size = f"{before / 1e6:.1f} MB, now {path.stat().st_size / 1e6:.1f} MB"
-        yield f"{path}: repaired; {log.records} complete records over {log.duration_s:.2f} s ({size})", True
-    else:
-        yield f"{path}: has no complete record and was not changed; delete it", False
+        return str(error), False
+    if not log.finished:
+        return f"{path}: has no complete record and was not changed; delete it", False
+    size = f"{before / 1e6:.1f} MB, now {path.stat().st_size / 1e6:.1f} MB"
+    return f"{path}: repaired; {log.records} complete records over {log.duration_s:.2f} s ({size})", True
