@@ -158,7 +158,7 @@ class Converter:
                 yield LogMessage(STATE, at_ns, at_ns, self._state(one).model_dump_json(exclude_none=True).encode())
 
     def journal(self, entry: Entry) -> LogMessage:
-        """Something that happened, as foxglove.Log."""
+        """Return an event as foxglove.Log."""
         at_ns = entry.t_ns + self._offset_ns
         refused = entry.accepted is False
         level = ERROR if entry.kind == "stop" else WARNING if refused or entry.kind in ("lost", "event") else INFO
