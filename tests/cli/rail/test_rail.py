@@ -71,6 +71,13 @@ class Bench:
     def softarm(self, *words: str, **how: Any) -> Result:
         return invoke("rail", words[0], "--config", self.file, *words[1:], **how)
 
+    def refuses(self, message: str, *words: str, **how: Any) -> Result:
+        """Run a command that has to fail with a message."""
+        answer = self.softarm(*words, **how)
+        assert answer.exit_code == 1
+        assert message in answer.output
+        return answer
+
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, served: Any) -> Iterator[Bench]:
@@ -99,9 +106,7 @@ def test_home_prints_the_motion_homes_and_disables_the_drive(bench: Bench) -> No
 
 
 def test_nothing_moves_without_confirmation_in_a_terminal(bench: Bench) -> None:
-    answer = bench.softarm("home", input="y\n")
-    assert answer.exit_code == 1
-    assert "no terminal can confirm: use --yes" in answer.output
+    bench.refuses("no terminal can confirm: use --yes", "home", input="y\n")
     assert bench.position_m == 0.0
     assert bench.drive.state is DriveState.SWITCH_ON_DISABLED
 
@@ -110,18 +115,14 @@ def test_home_is_refused_while_a_daemon_controls_the_robot(bench: Bench) -> None
     latch = bench.folder / f"stop-127.0.0.1-{bench.server.port}.json"
     with latch.open("wb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 1
-    assert "the drive has one master at a time" in answer.output
+        answer = bench.refuses("the drive has one master at a time", "home", "--yes")
     assert "another daemon controls this robot; stop it" in answer.output
     assert bench.server._master is None
 
 
 def test_home_is_refused_while_another_program_is_connected(bench: Bench) -> None:
     with socket.create_connection(("127.0.0.1", bench.server.port)):
-        answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 1
-    assert "is in use by another program" in answer.output
+        bench.refuses("is in use by another program", "home", "--yes")
     assert not list(bench.folder.glob("stop-*"))
     assert bench.position_m == 0.0
 
@@ -140,9 +141,7 @@ def test_home_is_refused_while_another_program_is_connected(bench: Bench) -> Non
 )
 def test_a_reason_against_homing_is_reported_before_any_motion(bench: Bench, before: Any, message: str) -> None:
     before(bench)
-    answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 1
-    assert message in answer.output
+    answer = bench.refuses(message, "home", "--yes")
     assert "will move" not in answer.output
     assert bench.position_m == 0.0
 
@@ -168,9 +167,7 @@ def test_ctrl_c_brakes_and_reports_the_state(bench: Bench) -> None:
 
 def test_a_fault_during_homing_is_reported(bench: Bench) -> None:
     bench.on_the_way = lambda: bench.position_m < -0.01 and bench.drive.trip(0x8611)
-    answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 1
-    assert "home: the drive reports E11 following error (0x8611)" in answer.output
+    bench.refuses("home: the drive reports E11 following error (0x8611)", "home", "--yes")
 
 
 def test_with_a_relay_homing_waits_for_di7(bench: Bench) -> None:
@@ -186,9 +183,7 @@ def test_with_a_relay_homing_waits_for_di7(bench: Bench) -> None:
     answer = bench.softarm("home", "--yes", "--relay")
     assert answer.exit_code == 0, answer.output
     bench.pause, bench.drive.remote = hand, False  # type: ignore[method-assign]
-    answer = bench.softarm("home", "--yes", "--relay")
-    assert answer.exit_code == 1
-    assert "or check the connection of the board (docs/hardware/firmware.md)" in answer.output
+    bench.refuses("or check the connection of the board (docs/hardware/firmware.md)", "home", "--yes", "--relay")
 
 
 @pytest.mark.parametrize("speed", ["0.5", "0", "nan"])
@@ -200,9 +195,7 @@ def test_a_speed_out_of_range_is_refused(bench: Bench, speed: str) -> None:
 
 def test_an_unreachable_drive_is_reported(bench: Bench) -> None:
     bench.file.write_text(bench.file.read_text().replace(f"port: {bench.server.port}", "port: 1"))
-    answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 1
-    assert "127.0.0.1:1: connect" in answer.output
+    bench.refuses("127.0.0.1:1: connect", "home", "--yes")
 
 
 # The middle
@@ -229,24 +222,18 @@ def test_centre_measures_the_middle_and_writes_it_on_request(bench: Bench) -> No
 def test_an_implausible_push_writes_nothing(bench: Bench) -> None:
     bench.push(reach_m=0.2)
     before = bench.file.read_text()
-    answer = bench.softarm("centre", "--seconds", "20", "--write")
-    assert answer.exit_code == 1
-    assert "push the cart until it stops, at both ends" in answer.output
+    answer = bench.refuses("push the cart until it stops, at both ends", "centre", "--seconds", "20", "--write")
     assert "nothing was written" in answer.output
     assert bench.file.read_text() == before
 
 
 def test_centre_requires_a_homed_axis(bench: Bench) -> None:
-    answer = bench.softarm("centre", "--seconds", "5")
-    assert answer.exit_code == 1
-    assert "`softarm rail home` first" in answer.output
+    bench.refuses("`softarm rail home` first", "centre", "--seconds", "5")
 
 
 def test_without_a_terminal_centre_needs_a_duration(bench: Bench) -> None:
     bench.push()
-    answer = bench.softarm("centre")
-    assert answer.exit_code == 1
-    assert "with --seconds" in answer.output
+    bench.refuses("with --seconds", "centre")
 
 
 @pytest.mark.parametrize(
