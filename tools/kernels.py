@@ -28,8 +28,6 @@ def compile_for(robots: int, overrides: dict[str, float]) -> None:
     simulator.fly_pressure(zeros, zeros, 0.01)
     simulator.fly_cart(zeros, zeros, zeros, 0.01)
     simulator.fly_arm(zeros, zeros, zeros, 0.01)
-    simulator.step_pressure(0.0, 0.01)
-    simulator.step_cart(0.0, 0.01)
 
 
 if __name__ == "__main__":

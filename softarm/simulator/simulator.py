@@ -223,7 +223,12 @@ class Simulator:
         """
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.pressure_command, pressure_kpa)
-        self._run_late(self._advance, duration_s, late_s, 0)
+        if late_s is not None:
+            self._command(self._at.late, late_s)
+            self._given |= layout.PRESSURE  # keeps the history of pressure commands
+        self._run(self._advance, duration_s)
+        if late_s is not None:
+            self._rows[:, self._at.late] = 0.0
 
     def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = CONTROL_PERIOD_S) -> Array:
         """Run T commands of step_s each on this thread, with the same bits as T calls of `step`.
@@ -292,31 +297,6 @@ class Simulator:
                 self._command(first + link, turns[:, link])
         self._located = False
 
-    def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float, *, late_s: ArrayLike | None = None) -> None:
-        """Advance only the pressure, with the arguments of `step`."""
-        self._command(self._at.pressure_command, pressure_kpa)
-        self._run_late(kernel.advance_pressure, duration_s, late_s, layout.CART_GIVEN)
-
-    def step_cart(
-        self,
-        cart_velocity_m_s: ArrayLike,
-        duration_s: float,
-        arm_force_n: ArrayLike = 0.0,
-        *,
-        late_s: ArrayLike | None = None,
-    ) -> None:
-        """Advance only the cart, with the arguments of `step`.
-
-        Args:
-            cart_velocity_m_s: scalar or [R].
-            duration_s: length of the step, s.
-            arm_force_n: force of the arm on the cart, scalar or [R].
-            late_s: as in `step`.
-        """
-        self._command(self._at.cart_command, cart_velocity_m_s)
-        self._command(self._at.cart_push, arm_force_n)
-        self._run_late(kernel.advance_cart, duration_s, late_s, layout.PRESSURE_GIVEN)
-
     def step_arm(
         self,
         cart_position_m: ArrayLike,
@@ -324,7 +304,7 @@ class Simulator:
         pressure_kpa: ArrayLike,
         duration_s: float,
         *,
-        start: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+        start: tuple[ArrayLike, ArrayLike, ArrayLike],
     ) -> None:
         """Advance only the arm, with given motion of cart and pressure.
 
@@ -335,10 +315,10 @@ class Simulator:
             cart_velocity_m_s: at the end of the step, scalar or [R].
             pressure_kpa: at the end of the step, scalar or [R].
             duration_s: length of the step, s.
-            start: the same three at the start of the step; default: the end of the last step.
+            start: the same three at the start of the step.
         """
         at, rows = self._at, self._rows
-        for row, values in zip((at.q, at.v, at.pressure), start or (), strict=bool(start)):
+        for row, values in zip((at.q, at.v, at.pressure), start, strict=True):
             self._command(row, values)
         # The rows of commands hold the values at the end.
         ends = (at.cart_push, at.cart_command, at.pressure_command)
@@ -428,15 +408,6 @@ class Simulator:
     def _chosen(self, robots: ArrayLike | None) -> NDArray[np.int64]:
         everyone = np.arange(self.robots)
         return everyone if robots is None else everyone[np.asarray(robots)]
-
-    def _run_late(self, entry: Callable[..., None], duration_s: float, late_s: ArrayLike | None, given: int) -> None:
-        """Run with commands that are issued `late_s` after the start of the step."""
-        if late_s is not None:
-            self._command(self._at.late, late_s)
-            self._given |= layout.PRESSURE  # keeps the history of pressure commands
-        self._run(entry, duration_s, given)
-        if late_s is not None:
-            self._rows[:, self._at.late] = 0.0
 
     def _run(self, entry: Callable[..., None], duration_s: float, given: int = 0) -> None:
         """Advance by an entry point of the kernel; `given` are the bits of externally given motion."""

@@ -4,7 +4,7 @@ A stage is driven by measurements of its inputs, so that a fault of the regulato
 Parameters are given by column: a Jacobian is a batch of robots under the same commands.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from softarm.schemas.model import Model
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Array, Simulator
+from softarm.simulator.stage_simulator import StageSimulator
 
 Overrides = Mapping[str, ArrayLike]
 
@@ -20,85 +21,81 @@ SAME_S = 1e-9
 
 
 def pressure_alone(
-    model: Model | Sequence[Model],
-    times_s: ArrayLike,
-    command_kpa: ArrayLike,
-    sample_times_s: ArrayLike,
+    model: Model,
+    times_s: NDArray[np.float64],
+    command_kpa: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
     *,
-    robots: int | None = None,
+    robots: int = 1,
     overrides: Overrides | None = None,
 ) -> Array:
     """Replay pressure commands through the regulator and return the readings of its sensor, kPa [S, R].
 
-    times_s: [T], ascending, any spacing; commands [T], or [T, R] one a robot, each held until the next.
-    sample_times_s: [S], ascending, from times_s[0] on. The rest as in `Simulator`.
+    times_s and command_kpa: [T], ascending; each is held until the next. stamps_s: [S], evenly spaced from times_s[0]
+    on, with at most one command from a stamp to the next.
     """
-    simulator = Simulator(model, robots, overrides=overrides)
-    command = _columns(command_kpa)
-    looks = []
-    for i, duration_s in _walk(times_s, sample_times_s):
-        if duration_s > 0:
-            simulator.step_pressure(command[i], duration_s)
-        else:
-            looks.append(simulator.pressure_reading_kpa)
-    return np.stack(looks)
+    simulator = StageSimulator(model, robots, overrides=overrides)
+    newest, late_s, step_s = _issued(times_s, stamps_s)
+    commands, late = (np.tile(each[:, None], robots) for each in (command_kpa[newest], late_s))
+    bias_kpa = simulator.pressure_reading_kpa - simulator.pressure_kpa
+    return simulator.fly_pressure(commands, late, step_s) + bias_kpa
 
 
 def rail_alone(
-    model: Model | Sequence[Model],
-    times_s: ArrayLike,
-    command_m_s: ArrayLike,
-    sample_times_s: ArrayLike,
+    model: Model,
+    times_s: NDArray[np.float64],
+    command_m_s: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
     *,
     arm_force_n: ArrayLike = 0.0,
-    robots: int | None = None,
+    robots: int = 1,
     overrides: Overrides | None = None,
     physics_rate_hz: float = PHYSICS_RATE_HZ,
-) -> tuple[Array, Array]:
-    """Replay velocity commands through the rail; returns the cart's position (m) and velocity (m/s), [S, R].
+) -> Array:
+    """Replay velocity commands through the rail and return the cart's velocity, m/s [S, R]; it starts at rest.
 
-    Shapes as in `pressure_alone`. arm_force_n: force of the arm on the cart, scalar, [T] or [T, R]; 0 is a cart
-    without an arm. The cart starts at rest.
+    Shapes as in `pressure_alone`. arm_force_n: force of the arm on the cart, scalar or [S]; 0 is a cart without an arm.
     """
-    simulator = Simulator(model, robots, physics_rate_hz, overrides=overrides)
-    command = _columns(command_m_s)
-    force = np.broadcast_to(np.asarray(arm_force_n, dtype=np.float64), command.shape)
-    looks = []
-    for i, duration_s in _walk(times_s, sample_times_s):
-        if duration_s > 0:
-            simulator.step_cart(command[i], duration_s, force[i])
-        else:
-            looks.append((simulator.cart_position_m, simulator.cart_velocity_m_s))
-    positions, velocities = zip(*looks, strict=True)
-    return np.stack(positions), np.stack(velocities)
+    simulator = StageSimulator(model, robots, physics_rate_hz, overrides=overrides)
+    newest, late_s, step_s = _issued(times_s, stamps_s)
+    force = np.broadcast_to(arm_force_n, stamps_s.shape)
+    inputs = (np.tile(each[:, None], robots) for each in (command_m_s[newest], force, late_s))
+    return simulator.fly_cart(*inputs, step_s)
 
 
 def arm_alone(
-    model: Model | Sequence[Model],
-    times_s: ArrayLike,
+    model: Model,
+    times_s: NDArray[np.float64],
     cart_position_m: ArrayLike,
     cart_velocity_m_s: ArrayLike,
     pressure_kpa: ArrayLike,
     *,
-    robots: int | None = None,
+    robots: int = 1,
     overrides: Overrides | None = None,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
 ) -> Array:
     """Move cart and pressure as measured and return the arm's absolute link angles at every stamp, [T, R, n].
 
-    times_s: [T], ascending; measurements [T] or [T, R], smoothed: between stamps the cart follows the cubic through
-    positions and velocities, the pressure a straight line.
+    times_s: [T], ascending; measurements [T] or [T, 1]. Between stamps the cart follows the cubic through positions and
+    velocities, the pressure a straight line.
     """
     simulator = Simulator(model, robots, physics_rate_hz, overrides=overrides)
-    times = np.asarray(times_s, dtype=np.float64)
-    position, velocity, pressure = map(_columns, (cart_position_m, cart_velocity_m_s, pressure_kpa))
-    simulator.reset(cart_position_m=position[0], pressure_kpa=pressure[0])
+    inputs = np.stack([np.ravel(each) for each in (cart_position_m, cart_velocity_m_s, pressure_kpa)], axis=1)
+    simulator.reset(cart_position_m=inputs[0, 0], pressure_kpa=inputs[0, 2])
     looks = [simulator.link_angles_rad]
-    for i in range(1, len(times)):
-        start = (position[i - 1], velocity[i - 1], pressure[i - 1])
-        simulator.step_arm(position[i], velocity[i], pressure[i], times[i] - times[i - 1], start=start)
+    for before, now, duration_s in zip(inputs[:-1], inputs[1:], np.diff(times_s), strict=True):
+        simulator.step_arm(*now, duration_s, start=tuple(before))
         looks.append(simulator.link_angles_rad)
     return np.stack(looks)
+
+
+def _issued(
+    times_s: NDArray[np.float64], stamps_s: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    """Return the command of the step at each stamp, its delay from the stamp (s), and the length of a step (s)."""
+    step_s = float(stamps_s[1] - stamps_s[0])
+    newest = np.searchsorted(times_s, stamps_s + step_s - SAME_S) - 1
+    return newest, np.maximum(times_s[newest] - stamps_s, 0.0), step_s
 
 
 def energies_j(simulator: Simulator, shelf: tuple[float, float] = (100.0, 0.0), stiffness: float = 0.0) -> np.ndarray:
@@ -133,26 +130,3 @@ def energies_j(simulator: Simulator, shelf: tuple[float, float] = (100.0, 0.0), 
             energy += np.where((share > 0) & (share < span), 0.5 * stiffness * np.maximum(depth, 0.0) ** 2, 0.0)
         start, moving = start + along, moving + turning
     return energy
-
-
-def _columns(values: ArrayLike) -> NDArray[np.float64]:
-    """Return [T] or [T, R]; a single column serves all robots."""
-    array = np.asarray(values, dtype=np.float64)
-    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
-
-
-def _walk(times_s: ArrayLike, sample_times_s: ArrayLike) -> Iterator[tuple[int, float]]:
-    """Yield what to do next: (command in force, how long to hold it), or (that command, 0.0) to look."""
-    times = np.asarray(times_s, dtype=np.float64)
-    samples = np.atleast_1d(np.asarray(sample_times_s, dtype=np.float64))
-    now, command = times[0], 0
-    for sample in samples:
-        while now < sample - SAME_S:
-            following = times[command + 1] if command + 1 < len(times) else np.inf
-            until = min(following, sample)
-            if until > now + SAME_S:
-                yield command, until - now
-            now = until
-            if following <= sample + SAME_S and until == following:
-                command += 1
-        yield command, 0.0

@@ -23,9 +23,9 @@ links, lanes = (0,) * 2, (0,) * 8
 at = kernel.rows(links)
 memory, scratch = (np.zeros((1, 8 * rows)) for rows in (at.end, at.scratch_end))
 block = memory.reshape(-1, 8)
-block[at.pressure_command] = 10.0
-kernel.advance_pressure(memory, scratch, links, lanes, (), 0, 8, 1 / 240)
-print(block[at.pressure, 0], len(kernel.advance_pressure.stats.cache_hits))
+command, late, path = np.full((1, 8), 10.0), np.zeros((1, 8)), np.empty((1, 8))
+kernel.fly_pressure(memory, scratch, links, lanes, (), 0, 8, 1 / 240, 0, command, late, path)
+print(block[at.pressure, 0], len(kernel.fly_pressure.stats.cache_hits))
 """
 # Two files, `law` inlined into `entry`: numba by itself looks at the second alone, which does not change.
 MADE = """

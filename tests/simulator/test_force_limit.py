@@ -28,8 +28,7 @@ def ride(effects: dict[str, dict[str, float]], command: float, push: float, seco
     """Velocities of a cart without an arm, at 1200 Hz."""
     t = np.arange(round(1200 * seconds)) / 1200
     model = Model(cart=ENDLESS, effects=effects)
-    ones = np.ones(len(t))
-    _, v = stages.rail_alone(model, t, command * ones, t, arm_force_n=push * ones, physics_rate_hz=1200.0)
+    v = stages.rail_alone(model, t, np.full(len(t), command), t, arm_force_n=push, physics_rate_hz=1200.0)
     return np.asarray(v[:, 0], dtype=float)
 
 
@@ -88,7 +87,7 @@ def test_no_substep_gives_a_cart_more_than_the_limit(
         "rail.lag": {"time": lag_s},
     }
     model = Model(cart=ENDLESS, effects=effects)
-    _, v = stages.rail_alone(model, t, command, t, arm_force_n=push, physics_rate_hz=rate_hz)
+    v = stages.rail_alone(model, t, command, t, arm_force_n=push, physics_rate_hz=rate_hz)
     given_n = CART.mass_kg * np.diff(v[:, 0].astype(float)) * rate_hz - push[:-1]
     assert np.abs(given_n).max() <= force_n + 2e-4 * (1.0 + np.abs(v).max() * rate_hz / 240.0)
 

@@ -48,10 +48,7 @@ def pressure_stage(model: Model, robots: int, values: Values) -> np.ndarray:
 
 
 def rail_stage(model: Model, robots: int, values: Values) -> np.ndarray:
-    position, velocity = stages.rail_alone(
-        model, STAMPS, VELOCITY, STAMPS, robots=robots, overrides=values, physics_rate_hz=240.0
-    )
-    return np.concatenate((position, velocity))
+    return stages.rail_alone(model, STAMPS, VELOCITY, STAMPS, robots=robots, overrides=values, physics_rate_hz=240.0)
 
 
 def arm_stage(model: Model, robots: int, values: Values) -> np.ndarray:

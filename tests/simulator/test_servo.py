@@ -30,8 +30,7 @@ def effects(acceleration: float, **others: dict[str, float]) -> dict[str, dict[s
 def ride(model: Model, t: np.ndarray, push_n: float = 0.0, rate_hz: float = 1200.0) -> np.ndarray:
     """Velocities of a cart without an arm under TURNS, at t."""
     times, command = np.array(TURNS).T
-    push = np.full(len(times), push_n)
-    _, v = stages.rail_alone(model, times, command, t, arm_force_n=push, physics_rate_hz=rate_hz)
+    v = stages.rail_alone(model, times, command, t, arm_force_n=push_n, physics_rate_hz=rate_hz)
     return np.asarray(v[:, 0], dtype=float)
 
 

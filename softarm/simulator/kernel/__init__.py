@@ -16,15 +16,13 @@ A change in any of these files recompiles all of them (compiled.py): numba alone
 
 from softarm.simulator.kernel.layout import HISTORY, Rows, rows
 from softarm.simulator.kernel.run import advance, advance_parallel, fly, locate, prepare
-from softarm.simulator.kernel.stages import advance_cart, advance_pressure, fly_arm, fly_cart, fly_pressure
+from softarm.simulator.kernel.stages import fly_arm, fly_cart, fly_pressure
 
 __all__ = [
     "HISTORY",
     "Rows",
     "advance",
-    "advance_cart",
     "advance_parallel",
-    "advance_pressure",
     "fly",
     "fly_arm",
     "fly_cart",

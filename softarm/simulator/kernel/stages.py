@@ -1,4 +1,4 @@
-"""Entry points of the kernel for one stage alone: a step of every block, and whole recordings.
+"""Entry points of the kernel for a whole recording of one stage alone.
 
 A recording is run block after block, so that a block's rows stay in the nearest cache, and without Python's lock.
 """
@@ -43,22 +43,6 @@ def _advance_cart(m, lanes, at, active, substeps, dt):
         store(m, at.q, lanes, load(m, at.q, lanes) + way)
         store(m, at.v, lanes, v + dt * a)
     grow_older(m, lanes, at, active, substeps * dt)
-
-
-@compiled
-def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt):
-    """Advance only the pressure, with the arguments of `advance`."""
-    at = rows(links)
-    for block in range(memory.shape[0]):
-        _advance_pressure(memory[block], lanes, at, active, substeps, dt)
-
-
-@compiled
-def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
-    """Advance only the cart under its drive and the force at `cart_push`, with the arguments of `advance`."""
-    at = rows(links)
-    for block in range(memory.shape[0]):
-        _advance_cart(memory[block], lanes, at, active, substeps, dt)
 
 
 @compiled(nogil=True)
