@@ -9,6 +9,7 @@ counts, so measure on a quiet one.
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ import click
 from benchmarks import results
 from softarm.schemas.flights import Shares
 from softarm.training.learn import validation
-from softarm.training.learn.inference import Workers, workers
+from softarm.training.learn.inference import workers
 from softarm.training.run.recipe import RECIPES, begin
 
 LEVEL = Shares(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on hardware
@@ -48,19 +49,19 @@ def is_at_level(report: Shares) -> bool:
     return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
 
 
-def follow(seed: int, out: Path, pool: Workers, frames_most: int) -> list[Point]:
+def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point]:
     """Train until the level is held or `frames_most` is reached; return one point per validation."""
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
     session = begin(RECIPES["reach"], seed, out, pool, resume=False)
     while session.frames < frames_most and first_held([is_at_level(point.report) for point in points]) is None:
-        standing = session.advance()
+        session.advance()
         if len(session.curve) % session.config.validate_every:
             continue
         now = time.monotonic()
         report = validation.fly_trials(session.average, session.task, pool, session.model).report
         assert isinstance(report, Shares)
-        points.append(Point(now - start - aside, standing.frames, report))
+        points.append(Point(now - start - aside, session.frames, report))
         aside += time.monotonic() - now
     session.events.close()  # its thread would write into the folder while it is removed
     return points

@@ -85,7 +85,9 @@ def train(
         end = frames or (None if minutes else recipe.frames)
         with bar("starting", float(end or 0) if minutes is None else 60 * minutes, stay=True) as shown:
             policy = session.run(
-                end, minutes, lambda now: shown.show(now.seconds if minutes else now.frames, text=now.sentence)
+                end,
+                minutes,
+                lambda: shown.show(session.seconds if minutes else session.frames, text=session.sentence),
             )
         for line in ending(session, policy):
             click.echo(line)

@@ -3,10 +3,9 @@
 # mypy: allow-untyped-decorators
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -15,35 +14,18 @@ from softarm.training.learn.network import PolicyNetwork, RecurrentState
 
 CHUNK = 512  # robots a thread takes at once
 DEVICES = ("cpu", "cuda")
-T = TypeVar("T")
-R = TypeVar("R")
-
-
-class Workers:
-    """Threads that each run torch single-threaded; results have the order of the work."""
-
-    def __init__(self, count: int) -> None:
-        self._pool = ThreadPoolExecutor(count, "training", initializer=torch.set_num_threads, initargs=(1,))
-
-    def map(self, function: Callable[[T], R], work: Sequence[T]) -> list[R]:
-        """Apply the function to each piece of work."""
-        return list(self._pool.map(function, work))
-
-    def close(self) -> None:
-        """End the worker threads."""
-        self._pool.shutdown()
 
 
 @contextmanager
-def workers(count: int | None = None) -> Iterator[Workers]:
-    """Provide `count` threads (default: one per core); torch outside them runs single-threaded meanwhile."""
+def workers(count: int | None = None) -> Iterator[Executor]:
+    """Provide `count` threads (default: one per core); torch runs single-threaded in each of them and outside."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    pool = Workers(count or len(os.sched_getaffinity(0)))
+    threads = count or len(os.sched_getaffinity(0))
     try:
-        yield pool
+        with ThreadPoolExecutor(threads, "training", initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            yield pool
     finally:
-        pool.close()
         torch.set_num_threads(before)
 
 
@@ -66,7 +48,7 @@ def infer(
     observation: Tensor,
     keep: Tensor,
     state: RecurrentState,
-    pool: Workers,
+    pool: Executor,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[Tensor, Tensor, RecurrentState]:
     """Run one step for every robot.
@@ -88,5 +70,6 @@ def infer(
         means[robots] = mean[0]
         values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
 
-    pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)])
+    # The list waits for all chunks and passes on an error of one.
+    list(pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)]))
     return means, values, (hidden, cell)

@@ -9,6 +9,7 @@ random numbers stay on the CPU.
 """
 
 import math
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from softarm.training.learn.inference import Workers, infer, share_of
+from softarm.training.learn.inference import infer, share_of
 from softarm.training.learn.network import PolicyNetwork, RecurrentState
 from softarm.training.task.environment import Environment
 
@@ -167,7 +168,7 @@ class Ppo:
         network: PolicyNetwork,
         environment: Environment,
         config: PpoConfig,
-        pool: Workers,
+        pool: Executor,
         seed: int,
         dtype: torch.dtype = torch.float32,
     ) -> None:
@@ -234,10 +235,7 @@ class Ppo:
         return observation + self.config.observation_noise * self.network.observation_normaliser.scale() * noise
 
     def _infer(self, observation: Tensor, keep: Tensor, state: RecurrentState) -> tuple[Tensor, Tensor, RecurrentState]:
-        result: tuple[Tensor, Tensor, RecurrentState] = infer(
-            self.network, observation, keep, state, self._pool, self._dtype
-        )
-        return result
+        return infer(self.network, observation, keep, state, self._pool, self._dtype)
 
     def _values_of(self, which: Any, observation: Any, state: RecurrentState) -> tuple[Tensor, Tensor]:
         indices = which.nonzero()[0]
@@ -292,7 +290,7 @@ class Ppo:
             for chosen in order.chunk(config.minibatches):
                 micro = chosen.split(share_of(len(chosen), MICRO_SEQUENCES, self._device))
                 gradient = partial(self._gradient, batch=whole, parameters=parameters, size=len(chosen))
-                results = self._pool.map(gradient, micro)
+                results = list(self._pool.map(gradient, micro))
                 for k, parameter in enumerate(parameters):
                     parameter.grad = torch.stack([gradients[k] for gradients, _ in results]).sum(0)
                 torch.nn.utils.clip_grad_norm_(parameters, config.gradient_norm)

@@ -1,6 +1,7 @@
 """Success of a network: a validation set to choose checkpoints, and the seed's test trials for reports."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from softarm.schemas.flights import TRAINED_Z_MAX_M, Scenario, Shares
 from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
-from softarm.training.learn.inference import Workers, infer
+from softarm.training.learn.inference import infer
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.task.environment import Environment
 from softarm.training.task.randomisation import Randomisation
@@ -136,7 +137,7 @@ def fly(
     network: PolicyNetwork,
     task: ReachTask,
     scenarios: Scenarios,
-    pool: Workers,
+    pool: Executor,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     model: Model | None = None,
     dtype: torch.dtype = torch.float32,
@@ -186,7 +187,7 @@ def chosen_by(task: ReachTask) -> str:
     return SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else VALIDATION_SET
 
 
-def fly_trials(network: PolicyNetwork, task: ReachTask, pool: Workers, model: Model) -> Tested:
+def fly_trials(network: PolicyNetwork, task: ReachTask, pool: Executor, model: Model) -> Tested:
     """Fly a task's test trials on a model; they do not influence the training."""
     links = model.arm.links
     if not isinstance(task, ShelfTask):

@@ -1,1 +1,1 @@
-"""Records of a training run: settings, checkpoints, learning curve, pictures, page and exported policy."""
+"""Records of a training run: settings, checkpoints, learning curve, pictures and exported policy."""

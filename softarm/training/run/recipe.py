@@ -4,6 +4,7 @@ A recipe is a few lines of YAML; its `settings` have the names under which a pol
 """
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_type_hints
@@ -14,7 +15,6 @@ from softarm.common.plugins import PluginError
 from softarm.common.words import did_you_mean
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
-from softarm.training.learn.inference import Workers
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record.settings import TrainingConfig
@@ -131,7 +131,7 @@ def prepare(recipe: Recipe, seed: int) -> Ingredients:
     return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
 
 
-def begin(recipe: Recipe, seed: int, out: Path, pool: Workers, resume: bool) -> Session:
+def begin(recipe: Recipe, seed: int, out: Path, pool: Executor, resume: bool) -> Session:
     """Create the session of a recipe. Raises ValueError, ModelFileError or CheckpointError."""
     parts, model = prepare(recipe, seed), model_file.load(recipe.model)
     task, run, ppo, network, randomisation = parts

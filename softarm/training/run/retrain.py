@@ -20,7 +20,7 @@ from softarm.training.record.curve import Iteration
 from softarm.training.record.export import export_checkpoint
 from softarm.training.record.settings import TrainingConfig
 from softarm.training.run import warm_start
-from softarm.training.run.session import Session, Standing
+from softarm.training.run.session import Session
 from softarm.training.task.randomisation import Randomisation
 
 # Ranges of the parameters that a model may leave out.
@@ -124,17 +124,17 @@ def retrain(
         on_progress("fitting the critic", 0.0)
         warm_start.begin(session, prior, config.std, config.critic_iterations)
 
-        def standing(now: Standing) -> None:
-            best = "" if now.best is None else f", validation {now.best:.1%}"
-            share = max(now.frames / config.frames, now.seconds / config.seconds)
-            on_progress(f"retraining, {now.frames / 1e6:.2f} M frames{best}", min(1.0, share))
+        def report() -> None:
+            best = "" if session.best is None else f", validation {session.best:.1%}"
+            share = max(session.frames / config.frames, session.seconds / config.seconds)
+            on_progress(f"retraining, {session.frames / 1e6:.2f} M frames{best}", min(1.0, share))
 
         # The time of validation and critic counts.
         session.seconds = time.monotonic() - started
-        first = session.advance()
-        standing(first)
-        _check_length(first, config)
-        session.run(config.frames, config.seconds / 60.0, standing)
+        session.advance()
+        report()
+        _check_length(session, config)
+        session.run(config.frames, config.seconds / 60.0, report)
     best = out / "training" / "best.pt"
     export_checkpoint(best, out / "retrained.onnx")
     shutil.copyfile(best, out / "retrained.pt")
@@ -146,11 +146,12 @@ def retrain(
     )
 
 
-def _check_length(first: Standing, config: RetrainingConfig) -> None:
-    """Raise ValueError if the remaining time is too short for the least number of frames."""
-    expected = min(first.frames + first.frames_per_s * max(0.0, config.seconds - first.seconds), config.frames)
+def _check_length(session: Session, config: RetrainingConfig) -> None:
+    """Raise ValueError if the time left after the first iteration is too short for the least number of frames."""
+    frames, seconds, frames_per_s = session.frames, session.seconds, session.curve[-1].frames_per_s
+    expected = min(frames + frames_per_s * max(0.0, config.seconds - seconds), config.frames)
     if expected < config.frames_min:
-        needed_s = first.seconds + (config.frames_min - first.frames) / first.frames_per_s
+        needed_s = seconds + (config.frames_min - frames) / frames_per_s
         raise ValueError(
             f"{config.seconds:g} s of retraining allow about {expected / 1e6:.2f} M frames on this computer; at least "
             f"{config.frames_min / 1e6:.2f} M are needed: give --seconds {math.ceil(needed_s / 10) * 10} or more"

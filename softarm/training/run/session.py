@@ -3,7 +3,8 @@
 import copy
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import torch
 
 from softarm.schemas.model import Model
-from softarm.training.learn.inference import Workers, device_named
+from softarm.training.learn.inference import device_named
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.learn.validation import fly, validation_scenarios
@@ -28,28 +29,6 @@ from softarm.training.task.shelf import environment_of
 YOUNG = 10
 
 
-@dataclass(frozen=True)
-class Standing:
-    """Progress of a run after an iteration."""
-
-    frames: int  # control steps of single robots
-    seconds: float
-    frames_per_s: float  # of the last iteration
-    success: float  # of the episodes that ended, with exploration noise
-    reward: float
-    validation: float | None  # newest
-    best: float | None
-
-    @property
-    def sentence(self) -> str:
-        """Progress as a sentence for people."""
-        validation = "-" if self.validation is None else f"{self.validation:.1%}, best {self.best:.1%}"
-        return (
-            f"{self.frames / 1e6:.1f} M frames, {self.frames_per_s / 1e3:.0f} k/s, "
-            f"reward {self.reward:.2f}, valid {validation}"
-        )
-
-
 class Session:
     """Training run with its files in `out`.
 
@@ -62,7 +41,7 @@ class Session:
         config: TrainingConfig,
         ppo: PpoConfig,
         out: Path,
-        pool: Workers,
+        pool: Executor,
         resume: bool,
         model: Model | None = None,
         model_name: str = "seed",
@@ -119,17 +98,25 @@ class Session:
         return f"{self.task.name}{'' if model == 'seed' else f' on {model}'}, seed {self.config.seed}"
 
     @property
+    def sentence(self) -> str:
+        """Progress after the newest iteration for people."""
+        row, shares = self.curve[-1], curve.validated(self.curve)
+        validation = f"{shares[-1]:.1%}, best {max(shares):.1%}" if shares else "-"
+        return (
+            f"{row.frames / 1e6:.1f} M frames, {row.frames_per_s / 1e3:.0f} k/s, "
+            f"reward {row.reward:.2f}, valid {validation}"
+        )
+
+    @property
     def best(self) -> float | None:
         """Best validation success so far, as a share; None before the first validation."""
         return max(curve.validated(self.curve), default=None)
 
-    def run(
-        self, frames: int | None, minutes: float | None, on_progress: Callable[[Standing], None] = lambda _: None
-    ) -> Path:
+    def run(self, frames: int | None, minutes: float | None, on_progress: Callable[[], None] = lambda: None) -> Path:
         """Train until a bound or the patience is reached, and return the path of the exported policy.
 
-        The bounds are control steps of single robots, and minutes; both include a run before a resume. Raises
-        ValueError without any bound.
+        The bounds are control steps of single robots, and minutes; both include a run before a resume. `on_progress` is
+        called after each iteration. Raises ValueError without any bound.
         """
         if frames is None and minutes is None:
             raise ValueError("the run has no end: give frames or minutes")
@@ -137,7 +124,8 @@ class Session:
             while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
                 if self.config.patience and curve.fruitless(self.curve) >= self.config.patience:
                     break
-                on_progress(self.advance())
+                self.advance()
+                on_progress()
             if self.curve and self.curve[-1].validation is None:
                 self._validate_and_save()
         finally:
@@ -145,7 +133,7 @@ class Session:
         curve.write_png(self.curve, self.out / "learning_curve.png", self.title)
         return self.export_best()
 
-    def advance(self) -> Standing:
+    def advance(self) -> None:
         """Learn for one iteration; at intervals also validate and save a checkpoint."""
         start = time.monotonic()
         statistics = self.learner.iterate()
@@ -154,16 +142,13 @@ class Session:
         steps = self.config.robots * self.ppo.horizon
         self.frames += steps
         self.seconds += took
-        row = curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
-        self.curve.append(row)
+        self.curve.append(
+            curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
+        )
         self.events.add(self.curve)
         if len(self.curve) % self.config.validate_every == 0:
             self._validate_and_save()
             self.seconds += time.monotonic() - start - took
-        newest = next(reversed(curve.validated(self.curve)), None)
-        return Standing(
-            self.frames, self.seconds, row.frames_per_s, statistics.success, statistics.reward, newest, self.best
-        )
 
     def export_best(self) -> Path:
         """Export the policy of the checkpoint with the best validation."""

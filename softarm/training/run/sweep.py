@@ -224,53 +224,33 @@ def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
         ray.shutdown()
 
 
-class Line(NamedTuple):
-    """Summary of a configuration over its seeds; mean and standard deviation (0 for one seed)."""
-
-    name: str
-    seeds: int
-    seconds: tuple[float, float]
-    figures: dict[str, tuple[float, float]]  # validation and the test's shares
-
-
-def table(results: Iterable[Result]) -> list[Line]:
-    """Return a summary per configuration, in the order of first appearance."""
+def markdown(results: Iterable[Result]) -> str:
+    """Return a row per configuration: shares in percent, mean +- standard deviation over seeds (0 for one seed)."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault(result.name, []).append(result)
-    lines = []
-    for name, group in groups.items():
-        figures = {"validation": spread([each.validation for each in group])}
-        for figure in group[0].test:
-            figures[figure] = spread([each.test[figure] for each in group])
-        lines.append(Line(name, len(group), spread([each.seconds for each in group]), figures))
-    return lines
-
-
-def markdown(lines: list[Line]) -> str:
-    """Return the table: shares in percent, mean +- standard deviation over seeds."""
-    names = list(dict.fromkeys(figure for line in lines for figure in line.figures))
+    names = list(dict.fromkeys(("validation", *(name for group in groups.values() for name in group[0].test))))
     rows = [["configuration", "seeds", "seconds", *names], ["---"] * (3 + len(names))]
-    for line in lines:
-        shares = [line.figures.get(name) for name in names]
-        cells = ["" if each is None else f"{100 * each[0]:.1f} +- {100 * each[1]:.1f} %" for each in shares]
-        rows.append([line.name, str(line.seeds), f"{line.seconds[0]:.0f}", *cells])
+    for configuration, group in groups.items():
+        figures = [{"validation": each.validation} | each.test for each in group]
+        cells = [_spread([row[name] for row in figures]) if name in figures[0] else "" for name in names]
+        rows.append([configuration, str(len(group)), f"{mean(each.seconds for each in group):.0f}", *cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
+
+
+def _spread(shares: list[float]) -> str:
+    deviation = stdev(shares) if len(shares) > 1 else 0.0
+    return f"{100 * mean(shares):.1f} +- {100 * deviation:.1f} %"
 
 
 def save(sweep: Sweep, results: Iterable[Result], out: Path) -> str:
     """Write all results in the order of the sweep's file to OUT/results.json and results.md; return the latter."""
     names = list(sweep.runs)
     ordered = sorted(results, key=lambda each: (names.index(each.name), each.seed))
-    text = markdown(table(ordered))
+    text = markdown(ordered)
     files.write_text(out / "results.json", json.dumps([each._asdict() for each in ordered], indent=1) + "\n")
     files.write_text(out / "results.md", text)
     return text
-
-
-def spread(values: list[float]) -> tuple[float, float]:
-    """Return mean and standard deviation."""
-    return mean(values), stdev(values) if len(values) > 1 else 0.0
 
 
 def _merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

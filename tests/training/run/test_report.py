@@ -17,7 +17,7 @@ from softarm.schemas.model import Model
 from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import page, path_figure, tensorboard
+from softarm.training.record import path_figure, tensorboard
 from softarm.training.record.settings import TrainingConfig
 from softarm.training.run import report, warm_start
 from softarm.training.run.session import Session
@@ -200,17 +200,9 @@ def test_the_shelf_is_drawn_with_its_boards(tmp_path):
 
 def test_a_page_lists_only_settings_that_differ_from_the_default():
     usual = {"run.robots": 4096, "task.target_z_m": [0.55, 0.7], "randomise.each_episode": False}
-    assert page.changed(usual, usual) == []
+    assert report.changed(usual, usual) == []
     given = usual | {"task.target_z_m": [0.55, 0.8], "randomise.each_episode": True}
-    assert page.changed(given, usual) == [("task.target_z_m", "0.55 .. 0.8", "0.55 .. 0.7")]
+    assert report.changed(given, usual) == [("task.target_z_m", "0.55 .. 0.8", "0.55 .. 0.7")]
     given |= {"randomise.ranges.arm.payload.mass": [0.0, 0.05]}
-    assert ("randomise.ranges.arm.payload.mass", "0 .. 0.05", "") in page.changed(given, usual)
-    assert ("randomise.each_episode", "True", "False") in page.changed(given, usual)
-
-
-def test_names_are_escaped_in_markup():
-    summary = page.Summary("a<b>", "reach", "<i>", 1, 10, 1.0, 0.5, 10, "<u>", "x < y", [("<s>", "<p>", "")])
-    text = page.render(summary, b"", b"")
-    assert "a&lt;b&gt;" in text
-    for tag in ("<b>", "<i>", "<u>", "<s>", "<td><p>"):
-        assert tag not in text
+    assert ("randomise.ranges.arm.payload.mass", "0 .. 0.05", "") in report.changed(given, usual)
+    assert ("randomise.each_episode", "True", "False") in report.changed(given, usual)

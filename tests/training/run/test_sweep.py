@@ -89,11 +89,12 @@ def test_the_table_has_mean_and_spread_over_seeds():
     def result(name, seed, share):
         return Result(name, seed, {}, 10, 2.0 * seed, share, {"all": share / 2}, "x.onnx")
 
-    lines = sweep.table([result("a", 1, 0.8), result("b", 1, 0.5), result("a", 2, 0.6)])
-    assert [(line.name, line.seeds) for line in lines] == [("a", 2), ("b", 1)]
-    assert lines[0].figures["validation"] == (pytest.approx(0.7), pytest.approx(0.1414, abs=1e-4))
-    assert lines[1].figures["all"] == (0.25, 0.0)
-    assert "| a | 2 | 3 | 70.0 +- 14.1 % | 35.0 +- 7.1 % |" in sweep.markdown(lines)
+    rows = sweep.markdown([result("a", 1, 0.8), result("b", 1, 0.5), result("a", 2, 0.6)]).splitlines()
+    assert rows[0] == "| configuration | seeds | seconds | validation | all |"
+    assert rows[2:] == [
+        "| a | 2 | 3 | 70.0 +- 14.1 % | 35.0 +- 7.1 % |",
+        "| b | 1 | 2 | 50.0 +- 0.0 % | 25.0 +- 0.0 % |",
+    ]
 
 
 @pytest.mark.parametrize(
