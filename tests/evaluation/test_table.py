@@ -48,7 +48,7 @@ def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
 
 def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero(monkeypatch):
     every = tests.TESTS["swinging"].scenarios()[::6]
-    monkeypatch.setitem(tests.TESTS, "swinging", tests.Test(lambda: every))
+    monkeypatch.setitem(tests.TESTS, "swinging", tests.Test("", lambda: every))
     swinging = [Job(Entry("trajectory"), "swinging", range(27)), Job(Entry("trajectory"), "shelf", range(12))]
     result = table.summary({job: table.measure(job) for job in swinging})
     figures, notes = result["policies"]["trajectory"], result["notes"]["trajectory"]
