@@ -34,29 +34,29 @@ def _share(random: np.random.Generator, low: float, high: float) -> float:
     return math.exp(random.uniform(math.log(low), math.log(high)))
 
 
-def _either(random: np.random.Generator) -> float:
-    return float(random.choice((-1.0, 1.0)))
-
-
 def _patch(**sizes: Size) -> Draw:
     """Return a draw of the named parameters, in their order."""
     return lambda rig, size, random: {name: draw(rig, size, random) for name, draw in sizes.items()}
 
 
-def _of_reach(low: float, high: float) -> Size:
-    return lambda rig, size, random: size * _share(random, low, high) * rig.reach
+def _sized(
+    low: float, high: float, scale: Callable[[Rig], float] = lambda rig: 1.0, *, either_way: bool = False
+) -> Size:
+    """Return a draw of a share, low .. high, of a scale of the rig; with `either_way` of either sign."""
+
+    def draw(rig: Rig, size: float, random: np.random.Generator) -> float:
+        sign = float(random.choice((-1.0, 1.0))) if either_way else 1.0
+        return sign * (size * _share(random, low, high) * scale(rig))
+
+    return draw
 
 
-def _relative(low: float, high: float) -> Size:
-    return lambda rig, size, random: size * _share(random, low, high)
+def _uniform(low: float, high: float) -> Size:
+    return lambda rig, size, random: random.uniform(low, high)
 
 
-def _either_way(low: float, high: float) -> Size:
-    return lambda rig, size, random: _either(random) * size * _share(random, low, high)
-
-
-def _weaker(low: float, high: float) -> Size:
-    return lambda rig, size, random: -size * _share(random, low, high)
+def _reach(rig: Rig) -> float:
+    return rig.reach
 
 
 def _first(rig: Rig, name: str) -> float:
@@ -111,8 +111,7 @@ def _acceleration(rig: Rig, size: float, random: np.random.Generator) -> float:
     return _share(random, 0.5, 0.9) / size * rig.reach / rig.pace_s**2
 
 
-def _steady(rig: Rig, size: float, random: np.random.Generator) -> float:
-    return _either(random) * size * _share(random, 0.05, 0.1) * rig.reach
+_steady = _sized(0.05, 0.1, _reach, either_way=True)
 
 
 def _load(rig: Rig, size: float, random: np.random.Generator) -> float:
@@ -128,40 +127,39 @@ def _slipping(rig: Rig, size: float, random: np.random.Generator) -> Patch:
     return {"slip": slip, "slip_above": random.uniform(0.5, 0.8) * rig.reach / (INNER_SHARE * rig.pace_s**2)}
 
 
-_GAP = _of_reach(0.06, 0.1)
+_GAP = _sized(0.06, 0.1, _reach)
 
 
 def _worn_gap(rig: Rig, size: float, random: np.random.Generator) -> Patch:
     return {"gap": 1.6 * _GAP(rig, size, random), "wear": 0.05}
 
 
-def _follower() -> dict[str, Fault]:
-    one = frozenset
-    late, zero = one({"dead_time", "latency"}), one({"gain", "sensor_bias"})
-    loose = one({"backlash", "hysteresis", "deadband"})
-    return {
-        "dead_time": Fault(_patch(delay_s=_late), one({"dead_time"}), late),
-        "latency": Fault(_patch(late_s=_late), late),
-        "lag": Fault(_lag, one({"lag"})),
-        "rate_limit": Fault(_patch(rate=_rate), one({"rate_limit"})),
-        "acceleration_limit": Fault(_patch(acceleration=_acceleration), one({"acceleration_limit"})),
-        "deadband": Fault(_patch(dead_zone=_of_reach(0.05, 0.09)), one({"deadband"}), loose),
-        "friction": Fault(_friction, one({"deadband", "coulomb_friction"}), loose),
-        "gain": Fault(_patch(gain=_either_way(0.08, 0.15)), one({"gain"}), zero),
-        "offset": Fault(_patch(offset=_steady), one({"gain"}), zero),
-        "load": Fault(_patch(load=_load), one({"gain", "force_offset"}), zero),
-        "ceiling": Fault(_patch(ceiling=_ceiling), one({"ceiling"})),
-        "sensor_bias": Fault(_patch(bias=_steady), zero),
-        "backlash": Fault(_patch(gap=_GAP), one({"backlash"}), loose),
-        "hysteresis": Fault(_patch(loop_width=_of_reach(0.25, 0.4)), one({"hysteresis"}), one({"backlash"})),
-        "second_order": Fault(_mode, one({"second_order"})),
-        "cogging": Fault(_ripple),
-        "stick-slip": Fault(_stick_slip, near=loose | {"coulomb_friction", "stiction"}),
-        "drifting gain": Fault(_patch(drift=_either_way(0.15, 0.25)), near=one({"gain"})),
-        "slipping": Fault(_slipping),
-        "hum": Fault(_patch(hum=_of_reach(0.04, 0.07))),
-        "wear": Fault(_worn_gap, near=loose),
-    }
+_one = frozenset
+_LATE, _ZERO = _one({"dead_time", "latency"}), _one({"gain", "sensor_bias"})
+_LOOSE = _one({"backlash", "hysteresis", "deadband"})
+_FOLLOWER = {
+    "dead_time": Fault(_patch(delay_s=_late), _one({"dead_time"}), _LATE),
+    "latency": Fault(_patch(late_s=_late), _LATE),
+    "lag": Fault(_lag, _one({"lag"})),
+    "rate_limit": Fault(_patch(rate=_rate), _one({"rate_limit"})),
+    "acceleration_limit": Fault(_patch(acceleration=_acceleration), _one({"acceleration_limit"})),
+    "deadband": Fault(_patch(dead_zone=_sized(0.05, 0.09, _reach)), _one({"deadband"}), _LOOSE),
+    "friction": Fault(_friction, _one({"deadband", "coulomb_friction"}), _LOOSE),
+    "gain": Fault(_patch(gain=_sized(0.08, 0.15, either_way=True)), _one({"gain"}), _ZERO),
+    "offset": Fault(_patch(offset=_steady), _one({"gain"}), _ZERO),
+    "load": Fault(_patch(load=_load), _one({"gain", "force_offset"}), _ZERO),
+    "ceiling": Fault(_patch(ceiling=_ceiling), _one({"ceiling"})),
+    "sensor_bias": Fault(_patch(bias=_steady), _ZERO),
+    "backlash": Fault(_patch(gap=_GAP), _one({"backlash"}), _LOOSE),
+    "hysteresis": Fault(_patch(loop_width=_sized(0.25, 0.4, _reach)), _one({"hysteresis"}), _one({"backlash"})),
+    "second_order": Fault(_mode, _one({"second_order"})),
+    "cogging": Fault(_ripple),
+    "stick-slip": Fault(_stick_slip, near=_LOOSE | {"coulomb_friction", "stiction"}),
+    "drifting gain": Fault(_patch(drift=_sized(0.15, 0.25, either_way=True)), near=_one({"gain"})),
+    "slipping": Fault(_slipping),
+    "hum": Fault(_patch(hum=_sized(0.04, 0.07, _reach))),
+    "wear": Fault(_worn_gap, near=_LOOSE),
+}
 
 
 def _uneven_lag(rig: Rig, size: float, random: np.random.Generator) -> Patch:
@@ -181,13 +179,11 @@ _SHARED_WITH_CHAMBER = (
 )
 
 
-def _chamber() -> dict[str, Fault]:
-    shared = _follower()
-    return {name: shared[name] for name in _SHARED_WITH_CHAMBER} | {
-        "uneven lag": Fault(_uneven_lag, frozenset({"lag"})),
-        "choked flow": Fault(_patch(orifice_1_s=_orifice), frozenset({"rate_limit"})),
-        "weak supply": Fault(_patch(supply_kpa=_ceiling), frozenset({"ceiling"})),
-    }
+_CHAMBER = {name: _FOLLOWER[name] for name in _SHARED_WITH_CHAMBER} | {
+    "uneven lag": Fault(_uneven_lag, _one({"lag"})),
+    "choked flow": Fault(_patch(orifice_1_s=_orifice), _one({"rate_limit"})),
+    "weak supply": Fault(_patch(supply_kpa=_ceiling), _one({"ceiling"})),
+}
 
 
 # Carts.
@@ -205,8 +201,7 @@ def _speed_of(rig: Rig) -> float:
     return 0.7 * rig.reach / rig.pace_s
 
 
-def _force(rig: Rig, size: float, random: np.random.Generator) -> float:
-    return size * _share(random, 0.1, 0.25) * force_of(rig)
+_force = _sized(0.1, 0.25, force_of)
 
 
 def _even_friction(rig: Rig, size: float, random: np.random.Generator) -> Patch:
@@ -224,10 +219,6 @@ def _viscous(rig: Rig, size: float, random: np.random.Generator) -> float:
 
 def _cart_drag(rig: Rig, size: float, random: np.random.Generator) -> float:
     return 1.3 * _force(rig, size, random) / _speed_of(rig) ** 2
-
-
-def _slope(rig: Rig, size: float, random: np.random.Generator) -> float:
-    return _either(random) * _force(rig, size, random)
 
 
 def _heavier(rig: Rig, size: float, random: np.random.Generator) -> float:
@@ -255,27 +246,27 @@ def _worn_cart(rig: Rig, size: float, random: np.random.Generator) -> Patch:
     return {**_even_friction(rig, size, random), "wear": 0.05}
 
 
-def _cart() -> dict[str, Fault]:
-    one = frozenset
-    scaled, pulled = one({"gain", "mass", "payload"}), one({"force_offset", "friction_asymmetry", "tilt"})
-    return {
-        "coulomb_friction": Fault(_even_friction, one({"coulomb_friction"}), one({"stiction"})),
-        "uneven friction": Fault(_uneven_friction, one({"friction_asymmetry"}), pulled, also=one({"coulomb_friction"})),
-        "damping": Fault(_patch(viscous_n_s_m=_viscous), one({"damping"})),
-        "drag": Fault(_patch(drag_n_s2_m2=_cart_drag), one({"drag"})),
-        "slope": Fault(_patch(force_n=_slope), one({"force_offset", "tilt"}), pulled),
-        "payload": Fault(_patch(mass_kg=_heavier), scaled),
-        "weak motor": Fault(_patch(gain=_weaker(0.12, 0.25)), scaled),
-        "dead_time": Fault(_patch(delay_s=_soon), one({"dead_time"}), one({"latency"})),
-        "lag": Fault(_patch(lag_s=_soon), one({"lag"}), one({"dead_time", "latency"})),
-        "compliance": Fault(_patch(spring_rad_s=_spring), one({"compliance", "second_order"})),
-        "backlash": Fault(_patch(gap_m=_of_reach(0.03, 0.06)), one({"backlash"})),
-        "cogging": Fault(_cart_cogging),
-        "hum": Fault(_patch(hum_n=_force)),
-        "bumper": Fault(_bumper),
-        "tiring motor": Fault(_patch(drift=_relative(0.25, 0.4)), near=scaled),
-        "wear": Fault(_worn_cart, near=one({"coulomb_friction", "stiction"})),
-    }
+_SCALED, _PULLED = _one({"gain", "mass", "payload"}), _one({"force_offset", "friction_asymmetry", "tilt"})
+_CART = {
+    "coulomb_friction": Fault(_even_friction, _one({"coulomb_friction"}), _one({"stiction"})),
+    "uneven friction": Fault(_uneven_friction, _one({"friction_asymmetry"}), _PULLED, also=_one({"coulomb_friction"})),
+    "damping": Fault(_patch(viscous_n_s_m=_viscous), _one({"damping"})),
+    "drag": Fault(_patch(drag_n_s2_m2=_cart_drag), _one({"drag"})),
+    "slope": Fault(
+        _patch(force_n=_sized(0.1, 0.25, force_of, either_way=True)), _one({"force_offset", "tilt"}), _PULLED
+    ),
+    "payload": Fault(_patch(mass_kg=_heavier), _SCALED),
+    "weak motor": Fault(_patch(gain=_sized(0.12, 0.25, lambda rig: -1.0)), _SCALED),
+    "dead_time": Fault(_patch(delay_s=_soon), _one({"dead_time"}), _one({"latency"})),
+    "lag": Fault(_patch(lag_s=_soon), _one({"lag"}), _one({"dead_time", "latency"})),
+    "compliance": Fault(_patch(spring_rad_s=_spring), _one({"compliance", "second_order"})),
+    "backlash": Fault(_patch(gap_m=_sized(0.03, 0.06, _reach)), _one({"backlash"})),
+    "cogging": Fault(_cart_cogging),
+    "hum": Fault(_patch(hum_n=_force)),
+    "bumper": Fault(_bumper),
+    "tiring motor": Fault(_patch(drift=_sized(0.25, 0.4)), near=_SCALED),
+    "wear": Fault(_worn_cart, near=_one({"coulomb_friction", "stiction"})),
+}
 
 
 # Chains of links.
@@ -285,21 +276,17 @@ def _each(joints: tuple[float, ...], share: float) -> tuple[float, ...]:
     return tuple(share * joint for joint in joints)
 
 
-def _joint_friction(low: float, high: float) -> Draw:
-    share = _relative(low, high)
-    return lambda rig, size, random: {"friction_nm": _each(moments_of(rig), share(rig, size, random))}
+def _moment(rig: Rig) -> float:
+    return moments_of(rig)[0]
 
 
-def _worn_joints(low: float, high: float) -> Draw:
-    share = _relative(low, high)
+def _joint_friction(low: float, high: float, factor: float = 1.0, **further: float) -> Draw:
+    """Return a draw of dry friction in every joint, with further parameters."""
+    share = _sized(low, high)
     return lambda rig, size, random: {
-        "friction_nm": _each(moments_of(rig), 1.5 * share(rig, size, random)),
-        "wear": 0.05,
+        "friction_nm": _each(moments_of(rig), factor * share(rig, size, random)),
+        **further,
     }
-
-
-def _of_moment(low: float, high: float) -> Size:
-    return lambda rig, size, random: size * _share(random, low, high) * moments_of(rig)[0]
 
 
 def _joint_damping(rig: Rig, size: float, random: np.random.Generator) -> Patch:
@@ -316,69 +303,52 @@ def _tip_payload(rig: Rig, size: float, random: np.random.Generator) -> Patch:
     return {"payload_kg": size * _share(random, 0.1, 0.2) * mass, "payload_m": length}
 
 
-def _kink(rig: Rig, size: float, random: np.random.Generator) -> Patch:
-    stiffness = size * _share(random, 0.2, 0.4) * moments_of(rig)[0]
-    return {"kink_nm_rad": stiffness, "kink_rad": random.uniform(0.03, 0.12)}
-
-
-def _joint_cogging(rig: Rig, size: float, random: np.random.Generator) -> Patch:
-    torque = size * _share(random, 0.02, 0.04) * moments_of(rig)[0]
-    return {"ripple_nm": torque, "ripple_per_turn": random.uniform(9, 16)}
-
-
-def _chain() -> dict[str, Fault]:
-    one = frozenset
-    lean, heavy = one({"sensor_bias", "tilt"}), one({"stiffness", "payload"})
-    return {
-        "coulomb_friction": Fault(_joint_friction(0.004, 0.008), one({"coulomb_friction"}), one({"stiction"})),
-        "damping": Fault(_joint_damping, one({"damping"})),
-        "drag": Fault(_patch(drag_n_s2_m2=_chain_drag), one({"drag"})),
-        "lean": Fault(_patch(tilt_rad=_either_way(0.03, 0.06)), lean),
-        "bias": Fault(_patch(bias_rad=_either_way(0.03, 0.06)), lean),
-        "moment": Fault(_patch(moment=_either_way(0.06, 0.12)), one({"stiffness"}), heavy),
-        "payload": Fault(_tip_payload, one({"payload"}), heavy),
-        "kink": Fault(_kink, near=heavy | {"stiffening"}),
-        "hum": Fault(_patch(hum_nm=_of_moment(0.02, 0.04))),
-        "cogging": Fault(_joint_cogging),
-        "wear": Fault(_worn_joints(0.004, 0.008), near=one({"coulomb_friction", "damping", "drag"})),
-    }
+_LEAN, _HEAVY = _one({"sensor_bias", "tilt"}), _one({"stiffness", "payload"})
+_CHAIN = {
+    "coulomb_friction": Fault(_joint_friction(0.004, 0.008), _one({"coulomb_friction"}), _one({"stiction"})),
+    "damping": Fault(_joint_damping, _one({"damping"})),
+    "drag": Fault(_patch(drag_n_s2_m2=_chain_drag), _one({"drag"})),
+    "lean": Fault(_patch(tilt_rad=_sized(0.03, 0.06, either_way=True)), _LEAN),
+    "bias": Fault(_patch(bias_rad=_sized(0.03, 0.06, either_way=True)), _LEAN),
+    "moment": Fault(_patch(moment=_sized(0.06, 0.12, either_way=True)), _one({"stiffness"}), _HEAVY),
+    "payload": Fault(_tip_payload, _one({"payload"}), _HEAVY),
+    "kink": Fault(
+        _patch(kink_nm_rad=_sized(0.2, 0.4, _moment), kink_rad=_uniform(0.03, 0.12)), near=_HEAVY | {"stiffening"}
+    ),
+    "hum": Fault(_patch(hum_nm=_sized(0.02, 0.04, _moment))),
+    "cogging": Fault(_patch(ripple_nm=_sized(0.02, 0.04, _moment), ripple_per_turn=_uniform(9, 16))),
+    "wear": Fault(_joint_friction(0.004, 0.008, 1.5, wear=0.05), near=_one({"coulomb_friction", "damping", "drag"})),
+}
 
 
 # Arms: chains with motors, whose faults are larger next to the motors' torques.
-
-
-def _motor_offset(rig: Rig, size: float, random: np.random.Generator) -> float:
-    return _either(random) * (size * _share(random, 0.05, 0.1)) * moments_of(rig)[0]
 
 
 def _arm_delay(rig: Rig, size: float, random: np.random.Generator) -> float:
     return size * _share(random, 0.06, 0.1) * rig.pace_s + size / rig.rate_hz
 
 
-def _arm() -> dict[str, Fault]:
-    passive = _chain()
-    keep = ("damping", "drag", "lean", "bias", "payload", "hum", "kink", "cogging")
-    offset = frozenset({"force_offset", "torque_offset"})
-    return {name: passive[name] for name in keep} | {
-        "coulomb_friction": Fault(_joint_friction(0.05, 0.1), frozenset({"coulomb_friction"}), frozenset({"stiction"})),
-        "weak motor": Fault(_patch(strength=_weaker(0.1, 0.2)), frozenset({"gain"})),
-        "offset": Fault(_patch(offset_nm=_motor_offset), offset),
-        "dead_time": Fault(_patch(delay_s=_arm_delay), frozenset({"dead_time"}), frozenset({"latency"})),
-        "wear": Fault(_worn_joints(0.05, 0.1), near=frozenset({"coulomb_friction", "damping"})),
-    }
+_SHARED_WITH_CHAIN = ("damping", "drag", "lean", "bias", "payload", "hum", "kink", "cogging")
+_ARM = {name: _CHAIN[name] for name in _SHARED_WITH_CHAIN} | {
+    "coulomb_friction": Fault(_joint_friction(0.05, 0.1), _one({"coulomb_friction"}), _one({"stiction"})),
+    "weak motor": Fault(_patch(strength=_sized(0.1, 0.2, lambda rig: -1.0)), _one({"gain"})),
+    "offset": Fault(
+        _patch(offset_nm=_sized(0.05, 0.1, _moment, either_way=True)), _one({"force_offset", "torque_offset"})
+    ),
+    "dead_time": Fault(_patch(delay_s=_arm_delay), _one({"dead_time"}), _one({"latency"})),
+    "wear": Fault(_joint_friction(0.05, 0.1, 1.5, wear=0.05), near=_one({"coulomb_friction", "damping"})),
+}
 
-
-_FOLLOWER, _CART, _CHAIN = _follower(), _cart(), _chain()
 _POSITION_ONLY = ("rate_limit", "load", "backlash", "hysteresis", "slipping", "stick-slip", "wear")
 # A velocity axis follows with its velocity, so an acceleration limit is a rate limit there.
-_VELOCITY_LIMIT = Fault(_patch(acceleration=_rate), frozenset({"acceleration_limit", "rate_limit"}))
+_VELOCITY_LIMIT = Fault(_patch(acceleration=_rate), _one({"acceleration_limit", "rate_limit"}))
 FAULTS: Final[Mapping[Plant, Mapping[str, Fault]]] = {
     "velocity axis": {name: fault for name, fault in _FOLLOWER.items() if name not in _POSITION_ONLY}
     | {"acceleration_limit": _VELOCITY_LIMIT},
     "position axis": _FOLLOWER,
-    "chamber": _chamber(),
+    "chamber": _CHAMBER,
     "cart": _CART,
     "pendulum": _CHAIN,
-    "arm": _arm(),
+    "arm": _ARM,
     "cart-pendulum": _CHAIN,
 }
