@@ -127,11 +127,11 @@ class Robot:
 
     def pressure(self) -> list[PressureReading]:
         """Return the regulator's readings since the last call, oldest first."""
-        return self._gauge.received()
+        return self._gauge.received(self.t_s)
 
     def rail(self) -> list[RailReading]:
         """Return the axis readings since the last call, oldest first."""
-        return self._encoder.received()
+        return self._encoder.received(self.t_s)
 
     @property
     def truth(self) -> Truth:
@@ -145,16 +145,16 @@ class Robot:
     def _measure(self) -> float:
         """Take every measurement that is due and return the time of the next one."""
         cameras, gauge, encoder, now_s = self._cameras, self._gauge, self._encoder, self.t_s
-        if cameras.timer.due_s <= now_s + 1e-9:
+        if cameras.due_s <= now_s + 1e-9:
             ends, angles = self.plant.links()
             if not np.isfinite(ends).all():
                 raise FloatingPointError(
                     f"the robot's state became NaN or infinite at {now_s:.3f} s; use weaker imperfections or commands"
                 )
             cameras.expose(now_s, self.plant.cart_position_m, ends, angles)
-        if gauge.timer.due_s <= now_s + 1e-9:
+        if gauge.due_s <= now_s + 1e-9:
             gauge.read(now_s, self._regulator.pressure_kpa)
-        if encoder.timer.due_s <= now_s + 1e-9:
+        if encoder.due_s <= now_s + 1e-9:
             self._servo.sense(self.plant.cart_position_m, self.plant.cart_velocity_m_s)
             encoder.read(now_s, self._servo.position_m, self._servo.velocity_m_s)
-        return min(cameras.timer.due_s, gauge.timer.due_s, encoder.timer.due_s)
+        return min(cameras.due_s, gauge.due_s, encoder.due_s)

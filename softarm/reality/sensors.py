@@ -3,7 +3,7 @@
 All stamps are on the controller's clock, nanoseconds since the robot's start.
 """
 
-from collections import deque
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from softarm.reality.parameters import Mocap, PressureSensor, RailSensor
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
 
 Array = NDArray[np.float64]
+R = TypeVar("R", MocapFrame, PressureReading, RailReading)
 
 
 def nanoseconds(t_s: float) -> int:
@@ -24,30 +25,32 @@ def quantised(value: float, quantum: float) -> float:
     return round(value / quantum) * quantum if quantum else value
 
 
-class Timer:
-    """Timer of readings at a regular rate."""
+class Sensor(Generic[R]):
+    """Sensor with a regular rate, and its readings on their way to the controller, in order."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz, self._count = rate_hz, 1
+        self._readings: list[R] = []
 
     @property
     def due_s(self) -> float:
         """Return the time of the next reading, s."""
         return self._count / self._rate_hz
 
-    def done(self) -> None:
-        """Advance to the next reading."""
-        self._count += 1
+    def received(self, now_s: float) -> list[R]:
+        """Return the readings received by a time since the last call, oldest first."""
+        now_ns = nanoseconds(now_s)
+        count = sum(reading.t_receive_ns <= now_ns for reading in self._readings)
+        received, self._readings = self._readings[:count], self._readings[count:]
+        return received
 
 
-class Cameras:
+class Cameras(Sensor[MocapFrame]):
     """Cameras that see six marker sets (`softarm.schemas.messages.BODY_NAMES`); frames arrive in order."""
 
     def __init__(self, parameters: Mocap, drift: float, base_height_m: float, random: np.random.Generator) -> None:
+        super().__init__(parameters.rate_hz)
         self._p, self._drift, self._base_m, self._random = parameters, drift, base_height_m, random
-        self.timer = Timer(parameters.rate_hz)
-        self._sequence = 0
-        self._on_the_way: deque[MocapFrame] = deque()
         # Displacement of the loose marker set, m.
         self._wobble = np.zeros(2)
         self._wobble_m_s = np.zeros(2)
@@ -70,8 +73,8 @@ class Cameras:
 
     def expose(self, t_s: float, cart_m: float, ends_m: Array, angles_rad: Array) -> None:
         """Take a frame; a frame that is lost on the network still counts in the sequence."""
-        self.timer.done()
-        self._sequence += 1
+        sequence = self._count
+        self._count += 1
         p, random = self._p, self._random
         places = np.vstack(([cart_m, self._base_m], ends_m))
         if p.loose_link:
@@ -83,18 +86,11 @@ class Cameras:
             return
         received_s = t_s + p.latency_s + p.transport_s + jitter_s
         received_ns = nanoseconds(received_s)
-        if self._on_the_way:
-            received_ns = max(received_ns, self._on_the_way[-1].t_receive_ns)
+        if self._readings:
+            received_ns = max(received_ns, self._readings[-1].t_receive_ns)
         stamp_ns = nanoseconds(t_s * (1 + self._drift) + p.latency_s)
         bodies = tuple(Pose(y, z, angle) for (y, z), angle in zip(places.tolist(), angles.tolist(), strict=True))
-        self._on_the_way.append(MocapFrame(self._sequence, stamp_ns, received_ns, bodies))
-
-    def received(self, now_s: float) -> list[MocapFrame]:
-        """Return the frames received since the last call, oldest first."""
-        frames, now_ns = [], nanoseconds(now_s)
-        while self._on_the_way and self._on_the_way[0].t_receive_ns <= now_ns:
-            frames.append(self._on_the_way.popleft())
-        return frames
+        self._readings.append(MocapFrame(sequence, stamp_ns, received_ns, bodies))
 
     def _calibrated(self, places: Array) -> Array:
         p = self._p
@@ -105,43 +101,31 @@ class Cameras:
         return np.asarray(middle + (1 + p.scale) * turned + (p.offset_y_m, p.offset_z_m))
 
 
-class Gauge:
+class Gauge(Sensor[PressureReading]):
     """Pressure sensor inside the regulator."""
 
     def __init__(self, parameters: PressureSensor, random: np.random.Generator) -> None:
+        super().__init__(parameters.rate_hz)
         self._p, self._random = parameters, random
-        self.timer = Timer(parameters.rate_hz)
-        self._readings: list[PressureReading] = []
 
     def read(self, t_s: float, pressure_kpa: float) -> None:
         """Take a reading at a time."""
-        self.timer.done()
+        self._count += 1
         p = self._p
         raw = pressure_kpa + p.bias_kpa + float(self._random.normal()) * p.noise_kpa
         self._readings.append(PressureReading(nanoseconds(t_s), quantised(raw, p.quantum_kpa), True))
 
-    def received(self) -> list[PressureReading]:
-        """Return the readings since the last call, oldest first."""
-        readings, self._readings = self._readings, []
-        return readings
 
-
-class Encoder:
+class Encoder(Sensor[RailReading]):
     """Encoder read-back of the rail's axis."""
 
     def __init__(self, parameters: RailSensor) -> None:
+        super().__init__(parameters.rate_hz)
         self._p = parameters
-        self.timer = Timer(parameters.rate_hz)
-        self._readings: list[RailReading] = []
 
     def read(self, t_s: float, position_m: float, velocity_m_s: float) -> None:
         """Take a reading at a time."""
-        self.timer.done()
+        self._count += 1
         position = quantised(position_m, self._p.position_quantum_m)
         velocity = quantised(velocity_m_s, self._p.velocity_quantum_m_s)
         self._readings.append(RailReading(nanoseconds(t_s), position, velocity, True))
-
-    def received(self) -> list[RailReading]:
-        """Return the readings since the last call, oldest first."""
-        readings, self._readings = self._readings, []
-        return readings

@@ -7,12 +7,13 @@ noise-free difference between the recorded lane and another one measures how cle
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from softarm.reality.rigs import excitation
@@ -79,8 +80,7 @@ def record(case: RigCase) -> tuple[list[Run], float]:
     else:
         plain = _swing(case, lanes, durations, random)
     noise = _Noise.draw(rig, random)
-    runs = [_noisy(run, noise, random) for run in plain]
-    return runs, noise.rms
+    return [replace(run, measured=noise.on(run, random)) for run in plain], noise.rms
 
 
 def _one(lane: Lane, name: str) -> float:
@@ -148,13 +148,11 @@ def _stamps(rig: Rig, duration_s: float, random: np.random.Generator) -> tuple[A
     return sent, np.asarray(stamps[kept])
 
 
-def _clean(
-    fine: Array, lanes: Sequence[int], late_s: Sequence[float], bias: Sequence[float], t: Array, dt: float
-) -> Array:
-    """Return the simulated signal at the stamps [variants, samples], with each variant's sensor delay and bias."""
-    times = dt * np.arange(1, len(fine) + 1)
+def _clean(times_s: Array, fine: Array, stamps_s: Array, late_s: ArrayLike = 0.0, bias: ArrayLike = 0.0) -> Array:
+    """Return simulated signals [N, variants] at the stamps [variants, samples], with sensor delay and bias of each."""
+    late, offset = (np.broadcast_to(each, fine.shape[1]) for each in (late_s, bias))
     return np.stack(
-        [np.interp(t - late, times, fine[:, lane]) + b for lane, late, b in zip(lanes, late_s, bias, strict=True)]
+        [np.interp(stamps_s - s, times_s, signal) + b for signal, s, b in zip(fine.T, late, offset, strict=True)]
     )
 
 
@@ -191,9 +189,9 @@ def _follow(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ra
         fine = axis(received, plant, clock, dt, rig.plant == "velocity axis")
     late, bias = ([_one(lane, n) for lane in lanes] for n in ("late_s", "bias"))
     runs = []
+    times = dt * np.arange(1, steps + 1)
     for trial, (sent, values, stamps) in enumerate(commands):
-        of = [v * k + trial for v in range(len(lanes))]
-        clean = _clean(fine, of, late, bias, stamps + lead, dt)[:, :, None]
+        clean = _clean(times, fine[:, trial::k], stamps + lead, late, bias)[:, :, None]
         runs.append(Run(case.excitations[trial], sent, {"command": values}, stamps, clean, clean[0]))
     return runs
 
@@ -226,8 +224,7 @@ def _drive(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ran
         sent = each * dt * np.arange(count)
         _, stamps = _stamps(rig, duration, random)
         stamps = sent if rig.one_file else np.maximum(stamps, 0.0)
-        of = [v * k + trial for v in range(len(lanes))]
-        clean = _clean(fine, of, [0.0] * len(lanes), [0.0] * len(lanes), stamps, dt)[:, :, None]
+        clean = _clean(dt * np.arange(1, steps + 1), fine[:, trial::k], stamps)[:, :, None]
         runs.append(Run(case.excitations[trial], sent, {"force": asked[:count, trial]}, stamps, clean, clean[0]))
     return runs
 
@@ -261,11 +258,8 @@ def _swing(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ran
     for trial, duration in enumerate(durations):
         sent, stamps = _stamps(rig, duration, random)
         stamps = np.maximum(stamps, 0.0)
-        at = [v * k + trial for v in range(len(lanes))]
         times = dt * np.arange(steps)
-        clean = np.stack(
-            [np.stack([np.interp(stamps, times, fine[:, lane, j]) for j in range(n)], axis=1) for lane in at]
-        )
+        clean = np.stack([_clean(times, fine[:, trial::k, j], stamps) for j in range(n)], axis=2)
         inputs: dict[str, Array] = {}
         if motors is not None:
             sent = each * dt * np.arange(counts[trial])
@@ -333,17 +327,13 @@ class _Noise:
     def rms(self) -> float:
         return math.sqrt(self.white**2 + self.slow**2 + self.quantum**2 / 12)
 
-    def on(self, clean: Array, step_s: float, random: np.random.Generator) -> Array:
-        """Return noisy, rounded readings [samples, columns]."""
+    def on(self, run: Run, random: np.random.Generator) -> Array:
+        """Return noisy, rounded readings of the recorded variant [samples, columns]."""
+        clean, step_s = run.clean[0], float(np.median(np.diff(run.stamps_s)))
         out = clean + random.normal(0, self.white, clean.shape)
         for column in range(clean.shape[1]):
             out[:, column] += coloured(len(clean), step_s, self.slow, self.corner_hz, random)
         return np.asarray(np.round(out / self.quantum) * self.quantum if self.quantum > 0 else out)
-
-
-def _noisy(run: Run, noise: _Noise, random: np.random.Generator) -> Run:
-    step = float(np.median(np.diff(run.stamps_s)))
-    return Run(run.kind, run.sent_s, run.sent, run.stamps_s, run.clean, noise.on(run.clean[0], step, random))
 
 
 def _strengths(case: RigCase, runs: Sequence[Run], noise_rms: float) -> dict[str, Any]:
