@@ -1,12 +1,11 @@
 """Parameters of the independent robot, and their table in the documentation."""
 
 import dataclasses
-from typing import Any
 
 import pytest
 
 from softarm.common.quantity import UNITS
-from softarm.reality.parameters import GROUPS, Arm, Mocap, Rail, Regulator, RobotParameters, of_model
+from softarm.reality.parameters import GROUPS, Mocap, RobotParameters, of_model
 from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.model import Model
@@ -23,24 +22,8 @@ def test_every_quantity_declares_itself_and_rejects_a_value_below_its_range() ->
         assert len(declared.meaning) > 3
         with pytest.raises(ValueError, match=rf"{group.__name__}\.{field.name} is .*; allowed "):
             group(**{field.name: type(field.default)(declared.low - 1)})
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Regulator(dead_time_s=0.5), r"Regulator.dead_time_s is 0.5; allowed 0 to 0.3 s"),
-        (lambda: Rail(coulomb_n=float("nan")), r"Rail.coulomb_n is nan; allowed 0 to 10 N"),
-        (lambda: Mocap(loose_link=2.5), r"Mocap.loose_link is 2.5; allowed 0 to 5, a whole number"),  # type: ignore[arg-type]
-        (lambda: Arm(payload_kg=True), r"Arm.payload_kg is true; allowed 0 to 0.5 kg"),
-        (
-            lambda: Arm(tilt_rad="0.1"),
-            r"Arm.tilt_rad is '0.1'; .* write a bare number in rad: 0.1",
-        ),  # type: ignore[arg-type]
-    ],
-)
-def test_a_bad_value_is_reported_with_its_range(make: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()
+    with pytest.raises(ValueError, match=r"Mocap.loose_link is 2.5; allowed 0 to 5, a whole number"):
+        Mocap(loose_link=2.5)  # type: ignore[arg-type]
 
 
 def test_the_nominal_robot_equals_the_model() -> None:

@@ -103,17 +103,13 @@ def test_single_and_vector_environments_give_the_same_robot(task: str) -> None:
     ("action", "kind", "text"),
     [
         ([0.0, 0.0], TypeError, "of type list; allowed is a float32 array of shape"),
-        (None, TypeError, "of type NoneType; allowed"),
         (np.zeros(2, np.int64), TypeError, "of type int64; allowed is a float32"),
-        (np.array(["a", "b"]), TypeError, "of type <U1; allowed is a float32"),
-        (np.zeros(1, np.float32), ValueError, r"has the shape \(1,\); allowed is a float32 array of shape \(2,\)"),
         (
             np.zeros((1, 2), np.float32),
             ValueError,
             r"has the shape \(1, 2\); allowed is a float32 array of shape \(2,\)",
         ),
         (np.array([np.nan, 0.0], np.float32), ValueError, r"the action is \[nan, 0.0\]; allowed is a float32 array"),
-        (np.array([0.0, -np.inf]), ValueError, r"the action is \[0.0, -inf\]; allowed is a float32 array"),
     ],
 )
 def test_an_invalid_action_is_refused_with_the_reason_and_changes_nothing(action, kind, text) -> None:

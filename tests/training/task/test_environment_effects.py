@@ -3,22 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
-import onnx
 import pytest
 
 from softarm.schemas.model import Model
-from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record.checkpoint import CheckpointError
-from softarm.training.record.settings import TrainingConfig
-from softarm.training.run.session import Session
+from softarm.training.run.recipe import ROBUST
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
+from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import TASKS
+from softarm.training.task.shelf import ShelfTask, environment_of
 from tests.cli.invoke import invoke
 
 REACH = TASKS["reach"]
@@ -167,9 +164,13 @@ def test_a_robot_with_nan_restarts_without_effect_on_others(model):
         assert np.flatnonzero(step.terminated).tolist() in ([], [2])
 
 
-@pytest.mark.parametrize("model", [Model(), strong()])
-def test_a_snapshot_is_continued_bit_for_bit(model):
-    one = Environment(REACH, ROBOTS, 5, model)
+@pytest.mark.parametrize(
+    ("task", "model", "ranges"),
+    [(REACH, Model(), {}), (REACH, strong(), {}), (REACH, Model(), ROBUST), (ShelfTask(), Model(), ROBUST)],
+)
+def test_a_snapshot_is_continued_bit_for_bit(task, model, ranges):
+    robots = Randomisation(ranges, each_episode=True)
+    one, two = (environment_of(task, ROBOTS, seed, model, randomisation=robots) for seed in (5, 99))
     one.reset()
     one.stagger()
     plan = actions(60)
@@ -177,7 +178,6 @@ def test_a_snapshot_is_continued_bit_for_bit(model):
         one.step(action)
     snapshot = one.snapshot()
     expected = [one.step(action) for action in plan[30:]]
-    two = Environment(REACH, ROBOTS, 99, model)
     two.restore(snapshot)
     assert any((step.terminated | step.truncated).any() for step in expected)
     assert same([two.step(action) for action in plan[30:]], expected)
@@ -191,29 +191,6 @@ def test_the_closest_distance_of_a_trial_is_the_true_one():
         outcome = validation.fly(network, REACH, trials, pool, model=displaced)
     assert outcome.reached[0]
     assert outcome.closest_m[0] < REACH.success_radius_m
-
-
-@pytest.mark.prove
-@pytest.mark.usefixtures("plain_pictures")
-def test_a_run_records_its_model_and_resumes_on_no_other(tmp_path):
-    config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
-
-    def session(out, resume=False, on=None) -> Session:
-        return Session(REACH, config, PpoConfig(), out, pool, resume, on or strong(), "strong")
-
-    with workers(1) as pool:
-        whole, killed = session(tmp_path / "whole"), session(tmp_path / "killed")
-        whole.advance(), whole.advance(), killed.advance()
-        resumed = session(tmp_path / "killed", resume=True)
-        resumed.advance()
-        with pytest.raises(CheckpointError, match=r"model\.sha256 = [0-9a-f]{64}, not"):
-            session(tmp_path / "killed", resume=True, on=Model())
-    described = onnx.load(whole.export_best()).metadata_props
-    (text,) = [p.value for p in described if p.key == METADATA_KEY]
-    training = PolicyMetadata.model_validate_json(text).training
-    assert (training["model.name"], training["model.sha256"]) == ("strong", model_file.fingerprint(strong()))
-    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
-    assert all(mine[key].equal(theirs[key]) for key in theirs)
 
 
 def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
