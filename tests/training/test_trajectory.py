@@ -7,11 +7,11 @@ from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory import ceiling, rows
+from softarm.training.trajectory import ceiling, problem, rows
 from softarm.training.trajectory.guesses import library, nearest, random_knots
 from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
-from softarm.training.trajectory.problem import PlanningProblem, interpolation
+from softarm.training.trajectory.problem import interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
@@ -55,12 +55,12 @@ def test_a_plan_has_the_same_tip_path_at_another_physics_rate(report):
 
 @pytest.mark.slow
 def test_plans_keep_a_margin_to_the_limits(report):
-    problem, plans = PlanningProblem(), report.plans
+    plans = report.plans
     flown = Rollouts(physics_rate_hz=PHYSICS_RATE_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
     for k, n in enumerate(plans.steps):
         velocity, pressure = plans.command[k, :n].T
-        assert np.abs(velocity).max() <= problem.velocity_max_m_s + 1e-6
-        assert problem.pressure_min_kpa <= pressure.min() <= pressure.max() <= problem.pressure_max_kpa
+        assert np.abs(velocity).max() <= problem.VELOCITY_MAX_M_S + 1e-6
+        assert problem.PRESSURE_MIN_KPA <= pressure.min() <= pressure.max() <= problem.PRESSURE_MAX_KPA
         assert np.abs(flown.state[: n + 1, k, 0]).max() <= ReachTask().rail_limit_m
     assert np.abs(plans.command[0, :, 0]).max() > 0.05  # it does move
 
@@ -90,12 +90,12 @@ def test_a_plan_uses_the_effects_of_its_model(small, report):
 @pytest.fixture(scope="module")
 def optimiser():
     batch = Batch(TARGETS[:2], np.array([0.1, -0.2], dtype=np.float32), np.array([20, 26]))
-    return Optimiser(PlanningProblem(), Rollouts(), batch)
+    return Optimiser(Rollouts(), batch)
 
 
 def test_the_gradient_equals_the_slope_of_the_merit(optimiser):
     """The slope is a central difference of the objective with every constraint."""
-    knots = random_knots(PlanningProblem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
+    knots = random_knots(2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
     knots = np.clip(knots, (-0.9, 0.1), (0.9, 1.9)).reshape(2, -1).astype(np.float32)
     penalty = np.full(2, 50.0, dtype=np.float32)
     terms = optimiser._terms(knots[None], optimiser._fly(knots[None]))
@@ -122,11 +122,10 @@ def test_interpolation_is_straight_between_knots():
 
 
 def test_initial_guesses_pass_near_their_targets_within_the_rail():
-    problem, rollouts = PlanningProblem(), Rollouts()
-    swings = library(problem, rollouts, 0.0, 512, np.random.default_rng(0))
+    rollouts = Rollouts()
+    swings = library(rollouts, 0.0, 512, np.random.default_rng(0))
     guesses = nearest(swings, TARGETS[:1], 3)
-    assert guesses.knots.shape == (3, problem.knots, 2)
-    commands = np.einsum("tk,rkc->trc", interpolation(problem.steps_max), guesses.knots)
+    commands = np.einsum("tk,rkc->trc", interpolation(problem.STEPS_MAX), guesses.knots)
     flown = rollouts.fly(commands, np.zeros(3, dtype=np.float32))
     misses = np.hypot(*(flown.tip_m[guesses.steps, np.arange(3)] - TARGETS[0]).T)
     at_rest = np.hypot(*(flown.tip_m[0, 0] - TARGETS[0]))

@@ -40,7 +40,7 @@ def search(
     targets, steps = len(targets_m), task.episode_steps
     spread_out = interpolation(steps)
     knots = spread_out.shape[1]
-    rollouts = Rollouts(model, task.rate_hz)
+    rollouts = Rollouts(model)
     # Unit commands: -1 .. 1 is the actuators' range.
     mean = np.zeros((targets, knots, 2), dtype=np.float32)
     spread = np.full_like(mean, 0.7)

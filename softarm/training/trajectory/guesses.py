@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.training.trajectory.problem import KNOT_STEPS, Array, PlanningProblem, interpolation
+from softarm.schemas.robot import CONTROL_RATE_HZ
+from softarm.training.trajectory import problem
+from softarm.training.trajectory.problem import Array, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 STEPS_MIN = 12  # no target is reached sooner
@@ -31,35 +33,34 @@ class Library(NamedTuple):
     beyond_m: Array  # [steps + 1, L]: farthest beyond the cart's limit so far
 
 
-def random_knots(problem: PlanningProblem, count: int, rng: np.random.Generator) -> Array:
+def random_knots(count: int, rng: np.random.Generator) -> Array:
     """Draw smooth commands, [count, knots, 2]: a swing of random frequency and phase, and a varying pressure."""
-    t = np.arange(problem.knots) * KNOT_STEPS / problem.rate_hz
+    knots_each = interpolation(problem.STEPS_MAX).shape[1]
+    t = np.arange(knots_each) * problem.KNOT_STEPS / CONTROL_RATE_HZ
     frequency, phase = rng.uniform(0.5, 2.2, (count, 1)), rng.uniform(0, 2 * np.pi, (count, 1))
     size = rng.uniform(0.1, 1.2, (count, 1))
     growth = 1.0 + rng.uniform(-0.5, 1.0, (count, 1)) * t / t[-1]
     velocity = size * growth * np.sin(2 * np.pi * frequency * t + phase)
-    velocity += rng.normal(0.0, 0.25, (count, problem.knots)) * rng.uniform(0, 1, (count, 1))
+    velocity += rng.normal(0.0, 0.25, (count, knots_each)) * rng.uniform(0, 1, (count, 1))
     middle, swing = rng.uniform(0, 20, (count, 1)), rng.uniform(0, 15, (count, 1))
     pressure = middle + swing * np.sin(2 * np.pi * frequency * t + rng.uniform(0, 2 * np.pi, (count, 1)))
     late = t > rng.uniform(0.0, t[-1], (count, 1))
     pressure = np.where(late, rng.uniform(0, 20, (count, 1)), pressure)
     knots = np.stack((velocity, pressure), axis=2)
-    low = (-problem.velocity_max_m_s, problem.pressure_min_kpa)
-    high = (problem.velocity_max_m_s, problem.pressure_max_kpa)
+    low = (-problem.VELOCITY_MAX_M_S, problem.PRESSURE_MIN_KPA)
+    high = (problem.VELOCITY_MAX_M_S, problem.PRESSURE_MAX_KPA)
     clipped: Array = np.clip(knots, low, high).astype(np.float32)
     return clipped
 
 
-def library(
-    problem: PlanningProblem, rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator
-) -> Library:
+def library(rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator) -> Library:
     """Simulate random swings from a start."""
-    knots = random_knots(problem, count, rng)
-    commands = np.einsum("tk,lkc->tlc", interpolation(problem.steps_max), knots)
+    knots = random_knots(count, rng)
+    commands = np.einsum("tk,lkc->tlc", interpolation(problem.STEPS_MAX), knots)
     motion = rollouts.fly(commands, np.full(count, cart_start_m, dtype=np.float32))
     position, velocity = motion.state[:, :, 0], motion.state[:, :, 1]
-    reserve = np.abs(position + velocity * np.abs(velocity) / (2 * problem.braking_m_s2))
-    beyond = np.maximum.accumulate(np.maximum(reserve - problem.rail_max_m, 0.0), axis=0)
+    reserve = np.abs(position + velocity * np.abs(velocity) / (2 * problem.BRAKING_M_S2))
+    beyond = np.maximum.accumulate(np.maximum(reserve - problem.RAIL_MAX_M, 0.0), axis=0)
     return Library(knots, motion.tip_m, beyond)
 
 

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.training.trajectory.problem import KNOT_STEPS, Array, PlanningProblem, interpolation
+from softarm.schemas.robot import CONTROL_RATE_HZ
+from softarm.training.trajectory import problem
+from softarm.training.trajectory.problem import Array, interpolation
 from softarm.training.trajectory.rollout import Motion, Rollouts
 
 Mask = NDArray[np.bool_]
@@ -58,38 +60,36 @@ class _Terms(NamedTuple):
 class Optimiser:
     """Optimiser of one batch of plans."""
 
-    def __init__(self, problem: PlanningProblem, rollouts: Rollouts, batch: Batch) -> None:
-        self._problem, self._rollouts, self._batch = problem, rollouts, batch
+    def __init__(self, rollouts: Rollouts, batch: Batch) -> None:
+        self._rollouts, self._batch = rollouts, batch
         self._steps = int(batch.steps.max())
         self._spread = interpolation(self._steps)
         self._knots = self._spread.shape[1]
         self._plans = len(batch.steps)
-        p = problem
-        self._low = np.array([-p.velocity_max_m_s, p.pressure_min_kpa], dtype=np.float32) / UNIT
-        self._high = np.array([p.velocity_max_m_s, p.pressure_max_kpa], dtype=np.float32) / UNIT
-        self._ramp_max = np.float32(p.acceleration_max_m_s2 * KNOT_STEPS / p.rate_hz / UNIT[0])
+        self._low = np.array([-problem.VELOCITY_MAX_M_S, problem.PRESSURE_MIN_KPA], dtype=np.float32) / UNIT
+        self._high = np.array([problem.VELOCITY_MAX_M_S, problem.PRESSURE_MAX_KPA], dtype=np.float32) / UNIT
+        self._ramp_max = np.float32(problem.ACCELERATION_MAX_M_S2 * problem.KNOT_STEPS / CONTROL_RATE_HZ / UNIT[0])
         self._on = np.arange(1, self._steps + 1) <= batch.steps[:, None]  # [P, T]: steps of each plan
-        self._nominal = rollouts.settled_pose(p.nominal_pressure_kpa)
+        self._nominal = rollouts.settled_pose(problem.NOMINAL_PRESSURE_KPA)
         self._state_weight = self._square_roots_of_q()
         self._quadratic = self._quadratic_form_of_r()
 
     def _square_roots_of_q(self) -> Array:
         """Return the square roots of the objective's weights on states, [P, T, S]."""
-        p, n = self._problem, self._rollouts.model.arm.links
+        n = self._rollouts.model.arm.links
         positions = np.concatenate(([1, 0], np.ones(n), np.zeros(n)))
-        running = p.position_weight * positions + p.rate_weight * (1 - positions)
-        final = p.final_position_weight * positions + p.final_rate_weight * (1 - positions)
+        running = problem.POSITION_WEIGHT * positions + problem.RATE_WEIGHT * (1 - positions)
+        final = problem.FINAL_POSITION_WEIGHT * positions + problem.FINAL_RATE_WEIGHT * (1 - positions)
         weight = self._on[:, :, None] * running
         weight[np.arange(self._plans), self._batch.steps - 1] = final
         return np.sqrt(weight * COST_SCALE).astype(np.float32)
 
     def _quadratic_form_of_r(self) -> Array:
         """Return the quadratic form [P, 2 K, 2 K] of the commands in the objective; they are linear in the knots."""
-        p = self._problem
         change = np.diff(self._spread, axis=0, prepend=0.0)
         change[0] = self._spread[0]  # from rest
-        force = change * np.float32(p.moved_mass_kg * p.rate_hz * UNIT[0] * np.sqrt(p.force_weight))
-        press = self._spread * np.float32(UNIT[1] / 10.0 * np.sqrt(p.pressure_weight))
+        force = change * np.float32(problem.MOVED_MASS_KG * CONTROL_RATE_HZ * UNIT[0] * np.sqrt(problem.FORCE_WEIGHT))
+        press = self._spread * np.float32(UNIT[1] / 10.0 * np.sqrt(problem.PRESSURE_WEIGHT))
         form = np.zeros((self._plans, 2 * self._knots, 2 * self._knots), dtype=np.float32)
         for c, rows in enumerate((force, press)):
             form[:, c::2, c::2] = np.einsum("ti,pt,tj->pij", rows, self._on.astype(np.float32), rows) * COST_SCALE
@@ -113,7 +113,7 @@ class Optimiser:
         cost += np.einsum("vpi,pij,vpj->vp", knots, self._quadratic, knots)
         tip = motion.tip_m.reshape(self._steps + 1, v, p, 2)[self._batch.steps, :, np.arange(p)].transpose(1, 0, 2)
         reserve = self._reserve(state).transpose(1, 2, 0)
-        limit = np.float32(self._problem.rail_max_m)
+        limit = np.float32(problem.RAIL_MAX_M)
         beyond = np.stack((reserve - limit, -reserve - limit), axis=2)
         rail = np.where(self._on[:, None], beyond, np.float32(-1.0))  # kept after a plan's end
         change = self._change(knots)
@@ -123,7 +123,7 @@ class Optimiser:
     def _reserve(self, state: Array) -> Array:
         """Return the signed stopping position of the cart for states [..., S], m."""
         velocity = state[..., 1]
-        place: Array = state[..., 0] + velocity * np.abs(velocity) / np.float32(2 * self._problem.braking_m_s2)
+        place: Array = state[..., 0] + velocity * np.abs(velocity) / np.float32(2 * problem.BRAKING_M_S2)
         return place
 
     @staticmethod
@@ -206,7 +206,7 @@ class Optimiser:
         always = np.ones((plans, 2), dtype=np.bool_)
         self._add(hessian, gradient, lever, now.tip[0], tip_multiplier, penalty, always)
 
-        speed = np.abs(state[:, 0, :, 1]).T[..., None] / np.float32(self._problem.braking_m_s2)
+        speed = np.abs(state[:, 0, :, 1]).T[..., None] / np.float32(problem.BRAKING_M_S2)
         place = slope[:, :, 0] + speed * slope[:, :, 1]  # [P, T, C]
         change = np.zeros((self._knots - 1, unknowns), dtype=np.float32)
         change[np.arange(self._knots - 1), 2 * np.arange(self._knots - 1)] = -1.0

@@ -13,7 +13,7 @@ from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import guesses
 from softarm.training.trajectory.optimiser import INNER, OUTER, Batch, Optimiser, Solution
-from softarm.training.trajectory.problem import RAIL_SPARE_M, Array, PlanningProblem, interpolation
+from softarm.training.trajectory.problem import RAIL_SPARE_M, STEPS_MAX, Array, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 Advance = Callable[[str, float], None]  # receives the current work and its share of the whole
@@ -61,7 +61,7 @@ def plan(
 
     A missed target has the best plan found. `name` is recorded for the model.
     """
-    planner, rng = _Planner(PlanningProblem(), model), np.random.default_rng(seed)
+    planner, rng = _Planner(model), np.random.default_rng(seed)
     share = 1.0 / len(cart_starts_m)
 
     def advance(doing: str, part: float) -> None:
@@ -84,14 +84,13 @@ def _joined(rows: Sequence[Sequence[Any]]) -> list[Any]:
 class _Planner:
     """Planner with its simulators, for one start after another."""
 
-    def __init__(self, problem: PlanningProblem, model: Model | None) -> None:
-        self._problem = problem
-        self._rollouts = Rollouts(model, problem.rate_hz)
-        self._verifier = Rollouts(model, problem.rate_hz, PHYSICS_RATE_HZ)
+    def __init__(self, model: Model | None) -> None:
+        self._rollouts = Rollouts(model)
+        self._verifier = Rollouts(model, PHYSICS_RATE_HZ)
 
     def from_start(self, targets_m: Array, start_m: float, rng: np.random.Generator, on_advance: Advance) -> _Flown:
         """Optimise several guesses per target, fly them and keep the best of each target."""
-        swings = guesses.library(self._problem, self._rollouts, start_m, LIBRARY, rng)
+        swings = guesses.library(self._rollouts, start_m, LIBRARY, rng)
         guess = guesses.nearest(swings, targets_m, EACH)
         count = len(guess.steps)
         batch = Batch(np.repeat(targets_m, EACH, axis=0), np.full(count, start_m, dtype=np.float32), guess.steps)
@@ -103,11 +102,11 @@ class _Planner:
         return flown.part(winner)
 
     def _solve(self, batch: Batch, knots: Array, on_advance: Callable[[float], None]) -> Solution:
-        """Optimise in batches of plans of like length, as a batch flies as long as its longest plan."""
+        """Optimise in batches of plans of like length, as a batch flies as long as its STEPS_MAX plan."""
         count = len(batch.steps)
         whole = Solution(knots.copy(), *np.zeros((3, count), dtype=np.float32))
         for some in _alike(batch.steps):
-            optimiser = Optimiser(self._problem, self._rollouts, batch.part(some))
+            optimiser = Optimiser(self._rollouts, batch.part(some))
             solution = optimiser.solve(knots[some], partial(on_advance, len(some) / count / (OUTER * INNER)))
             whole.knots[some, : solution.knots.shape[1]] = solution.knots
             for all_plans, values in zip(whole[1:], solution[1:], strict=True):
@@ -116,9 +115,9 @@ class _Planner:
 
     def _verify(self, batch: Batch, solution: Solution) -> _Flown:
         """Fly plans to the end of the extended horizon as the daemon would: its braking clamp, 1200 Hz."""
-        task, longest = ReachTask(), self._problem.steps_max
-        commands = np.einsum("tk,pkc->tpc", interpolation(longest), solution.knots)
-        step = np.arange(longest + EXTENSION_STEPS + 1)[:, None]
+        task = ReachTask()
+        commands = np.einsum("tk,pkc->tpc", interpolation(STEPS_MAX), solution.knots)
+        step = np.arange(STEPS_MAX + EXTENSION_STEPS + 1)[:, None]
         held = commands[np.minimum(step[:-1], batch.steps - 1), np.arange(len(batch.steps))]
         motion = self._verifier.fly(held.astype(np.float32), batch.cart_start_m, guarded=True)
         in_time = step <= np.minimum(batch.steps + EXTENSION_STEPS, task.episode_steps)
@@ -128,8 +127,8 @@ class _Planner:
         return _Flown(
             batch,
             solution,
-            motion.sent[:longest].transpose(1, 0, 2),
-            motion.tip_m[: longest + 1].transpose(1, 0, 2),
+            motion.sent[:STEPS_MAX].transpose(1, 0, 2),
+            motion.tip_m[: STEPS_MAX + 1].transpose(1, 0, 2),
             distance.min(axis=0),
             reached_s.astype(np.float32),
         )

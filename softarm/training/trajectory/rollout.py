@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
-from softarm.schemas.robot import CONTROL_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
+from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
 
@@ -35,14 +35,8 @@ class Motion(NamedTuple):
 class Rollouts:
     """Roll-outs on simulators cached by batch size, as creating one costs more than a step."""
 
-    def __init__(
-        self,
-        model: Model | None = None,
-        rate_hz: float = CONTROL_RATE_HZ,
-        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
-    ) -> None:
+    def __init__(self, model: Model | None = None, physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> None:
         self.model = model or Model()
-        self._rate_hz = rate_hz
         self._physics_rate_hz = physics_rate_hz
         self._simulators: dict[int, Simulator] = {}
 
@@ -56,7 +50,7 @@ class Rollouts:
             self._simulators[robots] = Simulator(self.model, robots=robots, physics_rate_hz=self._physics_rate_hz)
         simulator = self._simulators[robots]
         simulator.reset(cart_position_m=cart_start_m)
-        guard = RailGuard(robots, 1.0 / self._rate_hz) if guarded else None
+        guard = RailGuard(robots, CONTROL_PERIOD_S) if guarded else None
         n = simulator.links
         state = np.empty((steps + 1, robots, 2 + 2 * n), dtype=np.float32)
         tip = np.empty((steps + 1, robots, 2), dtype=np.float32)
@@ -67,7 +61,7 @@ class Rollouts:
                 break
             if guard is not None:
                 sent[k, :, 0] = guard.apply(sent[k, :, 0], state[k, :, 0], state[k, :, 1])
-            simulator.step(sent[k, :, 0], sent[k, :, 1], 1.0 / self._rate_hz)
+            simulator.step(sent[k, :, 0], sent[k, :, 1], CONTROL_PERIOD_S)
         return Motion(state, tip, sent)
 
     def settled_pose(self, pressure_kpa: float) -> Array:
