@@ -67,21 +67,15 @@ class Difference(NamedTuple):
 
 def differences(one: Model, other: Model) -> list[Difference]:
     """Return the differences between two models, in the order of robot and registry."""
-    tables = [{row.key: row for row in (*robot_rows(model), *effect_rows(model))} for model in (one, other)]
+    # The last model has every row, in the order of robot and registry.
+    models = (one, other, Model(effects=effects.exemplars()))
+    *tables, every = ({row.key: row for row in (*robot_rows(model), *effect_rows(model))} for model in models)
     found = []
-    for key in _all_keys():
+    for key in every:
         rows = [table.get(key) for table in tables]
-        if (present := next((row for row in rows if row), None)) is None:
-            continue
         if len({row and row.numbers for row in rows}) == 2:
             texts = [row.value if row else ABSENT for row in rows]
             if texts[0] == texts[1]:  # the same to six digits
                 texts = [", ".join(map(repr, row.numbers)) for row in rows if row]
-            found.append(Difference(key, present.unit, *texts))
+            found.append(Difference(key, every[key].unit, *texts))
     return found
-
-
-def _all_keys() -> Iterator[str]:
-    yield from ROBOT
-    for name, effect in effects.REGISTRY.items():
-        yield from (f"{name}.{p.name}" for p in effect.parameters) if effect.parameters else (name,)

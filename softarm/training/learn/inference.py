@@ -3,11 +3,13 @@
 # mypy: allow-untyped-decorators
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from softarm.training.learn.network import PolicyNetwork, RecurrentState
@@ -41,6 +43,22 @@ def device_named(name: str) -> torch.device:
 def share_of(count: int, most: int, device: torch.device) -> int:
     """Return the size of a chunk of `count`: at most `most` on a thread, all on a graphics card."""
     return most if device.type == "cpu" else count
+
+
+def actor(
+    network: PolicyNetwork, robots: int, pool: Executor, dtype: torch.dtype = torch.float32
+) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    """Return the policy for one episode: a function from observations [R, N] to mean actions [R, 2] in -1..1."""
+    device = network.device
+    state, keep = network.initial_state(robots), torch.ones(robots, device=device)
+
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        nonlocal state
+        mean, _, state = infer(network, torch.from_numpy(observation).to(device), keep, state, pool, dtype)
+        action: NDArray[np.float32] = mean.clamp(-1.0, 1.0).cpu().numpy()
+        return action
+
+    return act
 
 
 def infer(

@@ -79,18 +79,9 @@ class Batch(NamedTuple):
     def of(self, robots: Tensor) -> "Batch":
         """Return the data of some robots, given by their indices."""
         hidden, cell = self.state
-        return Batch(
-            self.observation[:, robots],
-            self.keep[:, robots],
-            (hidden[robots], cell[robots]),
-            self.action[:, robots],
-            self.old_mean[:, robots],
-            self.old_log_std,
-            self.old_log_probability[:, robots],
-            self.advantage[:, robots],
-            self.old_value[:, robots],
-            self.target[:, robots],
-        )
+        others = {"state": (hidden[robots], cell[robots]), "old_log_std": self.old_log_std}
+        steps = {name: part[:, robots] for name, part in self._asdict().items() if name not in others}
+        return Batch(**steps, **others)
 
 
 class Statistics(NamedTuple):

@@ -14,7 +14,7 @@ from softarm.schemas.flights import TRAINED_Z_MAX_M, Scenario, Shares
 from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
-from softarm.training.learn.inference import infer
+from softarm.training.learn.inference import actor
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.task.environment import Environment
 from softarm.training.task.randomisation import Randomisation
@@ -144,17 +144,9 @@ def fly(
     randomisation: Randomisation | None = None,
 ) -> Flown:
     """Fly every scenario once with the policy's mean action, without action noise."""
-    count, device = len(scenarios.target_m), network.device
+    count = len(scenarios.target_m)
     environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
-    state, keep = network.initial_state(count), torch.ones(count, device=device)
-
-    def act(observation: Array) -> Array:
-        nonlocal state
-        mean, _, state = infer(network, torch.from_numpy(observation).to(device), keep, state, pool, dtype)
-        action: Array = mean.cpu().numpy()
-        return action
-
-    return fly_actions(act, environment, scenarios)
+    return fly_actions(actor(network, count, pool, dtype), environment, scenarios)
 
 
 def fly_actions(act: Callable[[Array], Array], environment: Environment, scenarios: Scenarios) -> Flown:

@@ -20,7 +20,7 @@ from softarm.common import files, revision
 from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn import validation
-from softarm.training.learn.inference import infer, workers
+from softarm.training.learn.inference import actor, workers
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.learn.normaliser import CLIP
 from softarm.training.record.checkpoint import load_policy, task_of
@@ -65,13 +65,11 @@ class Graph:
         limits = [self.weight(f"{of}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
         return self.node("Clip", [x, *limits], [output])
 
-    def normalised(self, network: PolicyNetwork) -> str:
-        """Normalise the observation by the network's statistics."""
-        normaliser = network.observation_normaliser
-        mean = self.weight("observation_mean", normaliser.mean.float())
-        centred = self.node("Sub", ["observation", mean], ["centred"])
-        scale = self.weight("observation_scale", normaliser.scale())
-        return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised", "observation")
+    def normalised(self, mean: torch.Tensor | np.ndarray, scale: torch.Tensor | np.ndarray, cut: float) -> str:
+        """Normalise the observation and clip it at +-cut, which may be infinite."""
+        centred = self.node("Sub", ["observation", self.weight("observation_mean", mean)], ["centred"])
+        scaled = self.node("Div", [centred, self.weight("observation_scale", scale)], ["scaled"])
+        return self.clip(scaled, cut, "normalised", "observation") if np.isfinite(cut) else scaled
 
     def pass_state(self) -> None:
         """Pass the state through, for a network without recurrence."""
@@ -112,8 +110,8 @@ class Graph:
 
 def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
     """Build the graph of a network. Raises onnx.checker.ValidationError if it is malformed."""
-    shape, graph = network.shape, Graph()
-    x = graph.normalised(network)
+    shape, graph, statistics = network.shape, Graph(), network.observation_normaliser
+    x = graph.normalised(statistics.mean.float(), statistics.scale(), CLIP)
     if shape.order == "mlp-lstm":
         both = graph.node("Concat", [graph.mlp(network, x), x], ["features"], axis=1)
         features = graph.lstm(network, both)
@@ -153,7 +151,9 @@ def export_checkpoint(source: Path, target: Path) -> None:
         _vent(network)
     shares = validated([Iteration(*row) for row in saved["curve"]])
     settings = saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": validation.chosen_by(task)}
-    success, golden = shares[-1] if shares else 0.0, golden_run(network, task)
+    success = shares[-1] if shares else 0.0
+    with workers(1) as pool:
+        golden = golden_run(actor(network, 1, pool), task)
     description = described(task, network.shape.state, settings, saved["seed"], success, golden)
     write_model(onnx_model(network), description, target)
 
@@ -168,22 +168,11 @@ def _vent(network: PolicyNetwork) -> None:
         network.mean_head.bias[1] = -2.0 * low / (high - low) - 1.0
 
 
-def golden_run(network: PolicyNetwork, task: ReachTask) -> Golden:
-    """Record a closed-loop run of one robot to a typical target, which the exported file must reproduce."""
-    state = network.initial_state(1)
-    with workers(1) as pool:
+def golden_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
+    """Record a run of one robot to a typical target, which the exported file must reproduce.
 
-        def act(observation: Array) -> Array:
-            nonlocal state
-            mean, _, state = infer(network, torch.from_numpy(observation), torch.ones(1), state, pool)
-            action: Array = mean.clamp(-1.0, 1.0).numpy()
-            return action
-
-        return recorded_run(act, task)
-
-
-def recorded_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
-    """Record a golden run of a function from observations [1, N] to actions [1, 2]."""
+    `act` is a function from observations [1, N] to actions [1, 2].
+    """
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=GOLDEN_STEPS + 1)
     environment = environment_of(recorded, 1, seed=0, physics_rate_hz=PHYSICS_RATE_HZ)

@@ -17,7 +17,7 @@ from torch import nn
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION
 from softarm.training.learn import validation
-from softarm.training.record.export import Graph, described, finished, recorded_run, write_model
+from softarm.training.record.export import Graph, described, finished, golden_run, write_model
 from softarm.training.record.settings import Settings, flat
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
@@ -61,16 +61,13 @@ def export(
 
     share = _validated(act, task)
     settings: Settings = flat(task=task) | {"run.validation_set": validation.chosen_by(task)} | (training or {})
-    write_model(model, described(task, STATE, settings, seed, share, recorded_run(act, task)), path)
+    write_model(model, described(task, STATE, settings, seed, share, golden_run(act, task)), path)
     return share
 
 
 def _graph(layers: nn.Sequential, inputs: int, mean: Array, scale: Array, cut: float) -> ModelProto:
     graph, width = Graph(), inputs
-    x = graph.node("Sub", ["observation", graph.weight("observation_mean", mean)], ["centred"])
-    x = graph.node("Div", [x, graph.weight("observation_scale", scale)], ["scaled"])
-    if np.isfinite(cut):
-        x = graph.clip(x, cut, "normalised", "observation")
+    x = graph.normalised(mean, scale, cut)
     for k, layer in enumerate(layers):
         if isinstance(layer, nn.Linear):
             if layer.in_features != width or layer.bias is None:
