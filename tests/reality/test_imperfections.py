@@ -108,6 +108,11 @@ def shake(t_s: float) -> tuple[float, float]:
     return velocity, pressure
 
 
+def levels(*held: tuple[float, float]) -> Any:
+    """A cart at rest, and pressures, kPa, each of them until a time, s."""
+    return lambda t_s: (0.0, next(kpa for until_s, kpa in held if t_s < until_s))
+
+
 def fly(parameters: RobotParameters, seconds: float = 0.8, excitation: Any = shake, **robot_options: Any) -> Flown:
     robot = Robot(parameters, 1, **robot_options)
     truths = []
@@ -185,19 +190,13 @@ def test_dead_time_has_its_declared_length(nominal: Any) -> None:
     ],
 )
 def test_the_reached_pressure_follows_the_imperfections(values: dict[str, float], reached_kpa: Any) -> None:
-    def steps(t_s: float) -> tuple[float, float]:
-        return 0.0, 10.0 if t_s < 2 else 12.0 if t_s < 4 else 4.0
-
-    flown = fly(perturb("regulator", **values), 6.0, steps)
+    flown = fly(perturb("regulator", **values), 6.0, levels((2, 10.0), (4, 12.0), (6, 4.0)))
     np.testing.assert_allclose(flown.pressure_kpa[[58, 118, 179]], reached_kpa, atol=0.01)
 
 
 def test_filling_and_venting_have_the_declared_time_constants() -> None:
     """The area between a step and the answer to it is the step times the time constant, whatever the tube."""
-
-    def up_and_down(t_s: float) -> tuple[float, float]:
-        return 0.0, 10.0 if t_s < 2 else 0.0
-
+    up_and_down = levels((2, 10.0), (4, 0.0))
     for tube_s in (0.0, 0.03):
         flown = fly(perturb("regulator", inflate_s=0.1, deflate_s=0.2, tube_s=tube_s), 4.0, up_and_down)
         lags_s = (10 - flown.pressure_kpa[:60]).sum() / 300, flown.pressure_kpa[60:].sum() / 300
@@ -209,9 +208,8 @@ def test_filling_and_venting_have_the_declared_time_constants() -> None:
 def test_the_arm_hangs_as_declared() -> None:
     def hang_m(pressure_kpa: float, **values: float) -> float:
         seconds = 5.0 if pressure_kpa else 0.1  # it starts at rest without pressure
-        flown = fly(
-            perturb("arm", damping=4.0, **values), seconds, lambda t_s: (0.0, pressure_kpa), held=True, hanging=True
-        )
+        pressed = levels((seconds, pressure_kpa))
+        flown = fly(perturb("arm", damping=4.0, **values), seconds, pressed, held=True, hanging=True)
         return float(flown.ends_m[-1, -1, 0])
 
     assert hang_m(10.0, muscle_gain=0.2) == pytest.approx(hang_m(12.0), abs=2e-5)
@@ -228,9 +226,7 @@ def test_choked_flow_limits_the_slope() -> None:
 
 
 def test_the_valve_sticks_at_low_pressure_only() -> None:
-    def steps(t_s: float) -> tuple[float, float]:
-        return 0.0, 12.0 if t_s < 2 else 11.0 if t_s < 4 else 1.0
-
+    steps = levels((2, 12.0), (4, 11.0), (6, 1.0))
     flown = fly(perturb("regulator", stick_kpa=2.0, stick_below_kpa=5.0), 6.0, steps)
     assert flown.pressure_kpa[115] == pytest.approx(11.0, abs=0.01)  # a small step up there is followed
     assert flown.pressure_kpa[-1] == pytest.approx(3.0, abs=0.1)  # and down here it stays 2 kPa off
@@ -258,10 +254,9 @@ def test_the_motor_plays_within_its_backlash() -> None:
 
 
 def test_with_play_the_motor_still_moves_the_whole_mass() -> None:
-    def start(t_s: float) -> tuple[float, float]:
-        return 0.9, 0.0
-
-    rigid, loose = (fly(perturb("rail", force_limit_n=1.0, backlash_m=gap), 0.5, start) for gap in (0.0, 0.002))
+    rigid, loose = (
+        fly(perturb("rail", force_limit_n=1.0, backlash_m=gap), 0.5, lambda t_s: (0.9, 0.0)) for gap in (0.0, 0.002)
+    )
     assert rigid.cart_m[-1] > 0.1
     assert np.abs(loose.cart_m - rigid.cart_m).max() < 0.012  # the motor first has to cross its play, alone
 
@@ -291,11 +286,7 @@ def test_poses_are_older_than_their_stamp_by_the_latency() -> None:
 
 def test_a_turned_and_shifted_calibration() -> None:
     """By hand: a point d below the rail's middle appears at d sin(angle) towards +y, d cos(angle) down."""
-    angle, scale = 0.1, 0.05
-
-    def rest(t_s: float) -> tuple[float, float]:
-        return 0.0, 0.0
-
+    angle, scale, rest = 0.1, 0.05, levels((1, 0.0))
     true = fly(perturb("mocap", **QUIET), 0.1, rest, held=True).frames[-1].bodies
     values = {"rotation_rad": angle, "scale": scale, "offset_y_m": 0.01, "offset_z_m": -0.02, **QUIET}
     seen = fly(perturb("mocap", **values), 0.1, rest, held=True).frames[-1].bodies
@@ -337,9 +328,7 @@ def test_the_gauge_reads_high_in_steps(nominal: Any) -> None:
 
 def test_hysteresis_is_a_rate_independent_loop() -> None:
     """At one and the same pressure the tip hangs elsewhere on the way down, however long one waits."""
-
-    def up_and_down(t_s: float) -> tuple[float, float]:
-        return 0.0, 8.0 if t_s < 4 else 16.0 if t_s < 6 else 8.0
+    up_and_down = levels((4, 8.0), (6, 16.0), (10, 8.0))
 
     def loop_m(**values: float) -> float:
         tip_y_m = fly(perturb("arm", damping=4.0, **values), 10.0, up_and_down, held=True).ends_m[:, -1, 0]
@@ -351,11 +340,8 @@ def test_hysteresis_is_a_rate_independent_loop() -> None:
 
 
 def test_warming_up_softens_the_arm_and_creep_continues() -> None:
-    def pressed(t_s: float) -> tuple[float, float]:
-        return 0.0, 10.0
-
     def late_m(**values: float) -> float:
-        tip_y_m = fly(perturb("arm", damping=4.0, **values), 8.0, pressed, held=True).ends_m[:, -1, 0]
+        tip_y_m = fly(perturb("arm", damping=4.0, **values), 8.0, levels((8, 10.0)), held=True).ends_m[:, -1, 0]
         return float(tip_y_m[-1] - tip_y_m[100])
 
     assert abs(late_m()) < 2e-4

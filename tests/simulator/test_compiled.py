@@ -3,7 +3,6 @@
 import importlib
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,17 +15,6 @@ from softarm.simulator.kernel.compiled import SOURCES
 SIMULATOR = Path(kernel.__file__).parents[1]
 PACKAGE = SIMULATOR.parent
 ROOT = PACKAGE.parent
-OF_THE_KERNEL = """
-import numpy as np
-from softarm.simulator import kernel
-links, lanes = (0,) * 2, (0,) * 8
-at = kernel.rows(links)
-memory, scratch = (np.zeros((1, 8 * rows)) for rows in (at.end, at.scratch_end))
-block = memory.reshape(-1, 8)
-command, late, path = np.full((1, 8), 10.0), np.zeros((1, 8)), np.empty((1, 8))
-kernel.fly_pressure(memory, scratch, links, lanes, (), 0, 8, 1 / 240, 0, command, late, path)
-print(block[at.pressure, 0], len(kernel.fly_pressure.stats.cache_hits))
-"""
 # Two files, `law` inlined into `entry`: numba by itself looks at the second alone, which does not change.
 MADE = """
 from pathlib import Path
@@ -56,22 +44,6 @@ def answer(started):
 
 def kept(folder):
     return sorted(path.name for path in folder.rglob("*.nbi"))
-
-
-@pytest.mark.prove
-@pytest.mark.slow
-def test_an_edit_of_the_pressure_stage_takes_effect_at_once(tmp_path):
-    for name in ("simulator", "schemas", "common"):
-        shutil.copytree(PACKAGE / name, tmp_path / "softarm" / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(PACKAGE / "__init__.py", tmp_path / "softarm")
-    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "0"]
-    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "1"]
-
-    law = tmp_path / "softarm/simulator/kernel/pressure.py"
-    text = law.read_text()
-    assert text.count("target + keep * gap") == 1
-    law.write_text(text.replace("target + keep * gap", "0.0 * target + keep * gap"))
-    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["0.0", "0"]
 
 
 def test_the_kernels_stamp_covers_every_imported_project_file():

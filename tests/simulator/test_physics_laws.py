@@ -89,53 +89,6 @@ def test_single_precision_costs_nothing() -> None:
     assert np.abs(tips[0] - tips[1]).max() < 2e-5
 
 
-def test_arm_rests_where_its_torques_balance() -> None:
-    """The static shape by Newton's method on the joint torques' balance, gravity by summing over what hangs."""
-    pressure_kpa = 12.0
-    n, length, mass = ARM.links, np.array(ARM.link_length_m), np.array(ARM.link_mass_kg)
-    pull = np.array(ARM.muscle_gain_nm_kpa) * pressure_kpa + np.array(ARM.torque_offset_nm)
-
-    def imbalance(joints: np.ndarray) -> np.ndarray:
-        angles = np.cumsum(joints)
-        ends = np.concatenate(([0.0], np.cumsum(length * np.sin(angles))))
-        centres = (ends[:-1] + ends[1:]) / 2
-        weight = [ARM.gravity_m_s2 * np.dot(mass[i:], centres[i:] - ends[i]) for i in range(n)]
-        return np.array(ARM.stiffness_nm_rad) * joints + pull + np.array(weight)
-
-    joints = np.zeros(n)
-    for _ in range(20):
-        slope = np.array([(imbalance(joints + 1e-6 * e) - imbalance(joints)) / 1e-6 for e in np.eye(n)]).T
-        joints = joints - np.linalg.solve(slope, imbalance(joints))
-
-    simulator = Simulator()
-    simulator.step(0.0, pressure_kpa, 40.0)
-    np.testing.assert_allclose(simulator.joint_angles_rad[0], joints, atol=2e-4)
-    assert joints.sum() < -0.2  # pressure bends towards -y
-    assert np.abs(simulator.link_rates_rad_s).max() < 1e-3
-
-
-def test_one_link_swings_at_the_pendulum_s_frequency() -> None:
-    stiffness, mass, length, inertia = 0.5, 0.12, 0.44, 2e-3
-    arm = Arm(
-        link_length_m=(length,),
-        link_mass_kg=(mass,),
-        link_inertia_kg_m2=(inertia,),
-        stiffness_nm_rad=(stiffness,),
-        damping_nm_s_rad=(0.0,),
-        muscle_gain_nm_kpa=(0.0,),
-        torque_offset_nm=(0.0,),
-    )
-    # A cart that no arm can move.
-    simulator = Simulator(Model(arm=arm, cart=Cart(mass_kg=1e4)), 1, 2400.0)
-    start = 0.02
-    simulator.reset(joint_angles_rad=start)
-    omega = np.sqrt((stiffness + mass * 9.81 * length / 2) / (inertia + mass * length**2 / 4))
-    for _ in range(60):
-        simulator.step(0.0, 0.0, 1 / 60)
-        expected = start * np.cos(omega * simulator.time_s)
-        assert simulator.joint_angles_rad[0, 0] == pytest.approx(expected, abs=2e-4)
-
-
 def test_pressure_keeps_the_seed_s_share_of_its_old_value_at_30_hz() -> None:
     """0.81 inflating, 0.86 deflating, whatever the physics' rate."""
     for rate_hz in (240.0, 1200.0):
