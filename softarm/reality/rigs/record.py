@@ -348,18 +348,18 @@ def _strengths(case: RigCase, runs: Sequence[Run], noise_rms: float) -> dict[str
 
 
 def _write_run(rig: Rig, run: Run, folder: Path, number: int) -> dict[str, Any]:
-    name = f"trial-{number}"
+    name, channels = f"trial-{number}", _channels(rig)
     sent = {n: x / (rig.command_worth if rig.kind != "chain" else 1.0) for n, x in run.sent.items()}
-    seen = {n: run.measured[:, i] / rig.measured_worth for i, n in enumerate(_columns(rig))}
+    seen = {n: run.measured[:, i] / rig.measured_worth for i, n in enumerate(channels["measured"])}
     if rig.one_file and run.sent:
         # One row per reading, with the newest command.
         row = np.maximum(np.searchsorted(run.sent_s, run.stamps_s + 1e-9, side="right") - 1, 0)
         _table(folder / f"{name}.csv", {"time": run.stamps_s} | {n: x[row] for n, x in sent.items()} | seen)
-        files = dict.fromkeys((*_inputs(rig), "measured"), f"{name}.csv")
+        files = dict.fromkeys(channels, f"{name}.csv")
     else:
         _table(folder / f"{name}-measured.csv", {"time": run.stamps_s} | seen)
         files = {"measured": f"{name}-measured.csv"}
-        for channel in _inputs(rig):
+        for channel in list(channels)[:-1]:
             _table(folder / f"{name}-{channel}.csv", {"time": run.sent_s} | sent)
             files[channel] = f"{name}-{channel}.csv"
     return {"name": name, "kind": run.kind, "files": files}
@@ -370,41 +370,36 @@ def _table(file: Path, columns: Mapping[str, Array]) -> None:
     np.savetxt(file, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.8g")
 
 
-def _columns(rig: Rig) -> list[str]:
-    """Return the measured signals by their names in stage.yaml."""
+def _channels(rig: Rig) -> dict[str, dict[str, tuple[str, str]]]:
+    """Return the channels of stage.yaml, inputs first: each column's source and unit by its name."""
+    command, links = rig.command_unit, range(1, np.size(rig.parameters.get("mass_kg", 1.0)) + 1)
+    tracked = {"command": {"command": ("command", command)}}
+    inputs: dict[str, dict[str, tuple[str, str]]] = {
+        "cart": {"force": {"force" if command == "N" else "current": ("force", command)}},
+        "pendulum": {},
+        "arm": {"torque": {f"torque{j}": (f"torque{j}", "N m") for j in links}},
+        "cart-pendulum": {"base": {"position": ("position", "m")}},
+    }.get(rig.plant, tracked)
     if rig.kind in ("pendulum", "chain"):
-        return [f"angle{i}" for i in range(1, np.size(rig.parameters["mass_kg"]) + 1)]
-    return ["velocity" if rig.plant == "velocity axis" else "pressure" if rig.plant == "chamber" else "position"]
-
-
-def _inputs(rig: Rig) -> tuple[str, ...]:
-    """Return the input channels."""
-    return {
-        "tracking": ("command",), "driven_mass": ("force",), "pendulum": (),
-        "chain": ("base",) if rig.plant == "cart-pendulum" else ("torque",),
-    }[rig.kind]  # fmt: skip
+        seen = [f"angle{j}" for j in links]
+    else:
+        seen = ["velocity" if rig.plant == "velocity axis" else "pressure" if rig.plant == "chamber" else "position"]
+    return inputs | {"measured": {name: (name, rig.measured_unit) for name in seen}}
 
 
 def _stage(rig: Rig, tables: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the contents of stage.yaml."""
     time = {"source": "time", "unit": "s"}
-    channels: dict[str, Any] = {}
-    for channel in _inputs(rig):
-        if channel == "command":
-            columns = {"command": {"source": "command", "unit": rig.command_unit}}
-        elif channel == "force":
-            name = "force" if rig.command_unit == "N" else "current"
-            columns = {name: {"source": "force", "unit": rig.command_unit}}
-        elif channel == "base":
-            columns = {"position": {"source": "position", "unit": "m"}}
-        else:
-            columns = {f"torque{j}": {"source": f"torque{j}", "unit": "N m"} for j in (1, 2)}
-        channels[channel] = {"time": time, "columns": columns}
-    seen = {name: {"source": name, "unit": rig.measured_unit} for name in _columns(rig)}
-    channels["measured"] = {"time": time, "columns": seen}
+    channels = {
+        channel: {
+            "time": time,
+            "columns": {n: {"source": source, "unit": unit} for n, (source, unit) in columns.items()},
+        }
+        for channel, columns in _channels(rig).items()
+    }
     out: dict[str, Any] = {"name": rig.name, "kind": rig.kind}
     if rig.kind in ("pendulum", "chain"):
-        out["links"] = len(seen)
+        out["links"] = np.size(rig.parameters["mass_kg"])
     return out | {"channels": channels, "model": stage_model(rig), "trials": tables}
 
 
