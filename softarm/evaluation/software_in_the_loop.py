@@ -118,8 +118,11 @@ class SoftwareInTheLoop:
         with contextlib.suppress(httpx.TransportError):
             status = self.client.get("/api/status")
             if status.status_code == 200 and status.json()["estop"] == "latched":
-                self.client.post("/api/acknowledge")
+                self._acknowledge(status.json()["last_stop"])
         return self.healthy()
+
+    def _acknowledge(self, last_stop: str) -> None:
+        self.client.post("/api/acknowledge")
 
     def arm(self) -> None:
         """Arm and wait. Raises SoftwareInTheLoopError with the daemon's reasons."""

@@ -142,20 +142,14 @@ class Bench(SoftwareInTheLoop):
         if self._of_twin is not None:
             super().start_twin()
 
-    def _ready_to_arm(self) -> bool:
-        """Return whether arming is possible. Only a person acknowledges a stop of the real robot."""
-        if self._of_twin is not None:
-            return super()._ready_to_arm()
-        try:
-            status = self.client.get("/api/status")
-        except httpx.TransportError:
-            return False
-        if status.status_code == 200 and status.json()["estop"] == "latched":
+    def _acknowledge(self, last_stop: str) -> None:
+        """Acknowledge a stop of the twin; only a person acknowledges one of the real robot."""
+        if self._of_twin is None:
             raise SoftwareInTheLoopError(
-                f"an emergency stop is latched ({status.json()['last_stop']}). Remove its cause, then start "
+                f"an emergency stop is latched ({last_stop}). Remove its cause, then start "
                 "`softarm run`, `softarm acknowledge`, and repeat this command"
             )
-        return self.healthy()
+        super()._acknowledge(last_stop)
 
     def use(self, policy: str) -> None:
         """Select the old or the retrained policy. Raises SoftwareInTheLoopError."""

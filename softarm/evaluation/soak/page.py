@@ -1,6 +1,6 @@
 """Results of a soak test as an HTML page and as data."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,18 +51,11 @@ def html(real: realtime.Soaked | None, stepped: lockstep.Stepped | None, command
     findings = el("ul", *(el("li", sentence) for sentence in wrong)) if wrong else el("p", "None.")
     sections = [Section("Findings", "findings", findings)]
     if real is not None:
-        facts = [
-            ("hours", f"{real.hours:.2f}"),
-            ("time armed", f"{real.armed_share:.0%}"),
-            *_facts(real.counts, real.cart_max_m),
-        ]
-        body = [tiles(facts), _slopes(real.slopes, "per hour"), *_curves(real.samples, "hours", warm_up(real.hours))]
-        sections.append(Section("In real time", "real", join([*body, _counts(real.counts)])))
+        facts = [("hours", f"{real.hours:.2f}"), ("time armed", f"{real.armed_share:.0%}")]
+        sections.append(Section("In real time", "real", _figures(real, facts, "hour", real.hours)))
     if stepped is not None:
-        facts = [("simulated days", f"{stepped.days:.2f}"), *_facts(stepped.counts, stepped.cart_max_m)]
-        body = [tiles(facts), _slopes(stepped.slopes, "per simulated day")]
-        body += _curves(stepped.samples, "simulated days", warm_up(stepped.days))
-        sections.append(Section("In lockstep", "lockstep", join([*body, _counts(stepped.counts)])))
+        facts = [("simulated days", f"{stepped.days:.2f}")]
+        sections.append(Section("In lockstep", "lockstep", _figures(stepped, facts, "simulated day", stepped.days)))
     return document("Soak", "softarm soak", join(lead), sections)
 
 
@@ -82,10 +75,16 @@ def _described(one: Unexpected) -> str:
     return f"after {one.time_s:.0f} s: {one.what}" + (f" (log: {one.log})" if one.log else "")
 
 
-def _facts(counts: dict[str, int], cart_max_m: float) -> Iterator[tuple[str, str]]:
-    yield "goals", f"{counts.get('goals', 0):,}"
-    yield "reached", f"{counts.get('reached', 0):,}"
-    yield "farthest cart", f"{cart_max_m:.3f} m"
+def _figures(
+    soaked: realtime.Soaked | lockstep.Stepped, facts: list[tuple[str, str]], unit: str, length: float
+) -> Html:
+    """Return facts, growth, curves and events of a run; `length` is in its unit of time."""
+    counts = soaked.counts
+    flown = [(name, f"{counts.get(name, 0):,}") for name in ("goals", "reached")]
+    events = table(("event", "count"), [(what, f"{n:,}") for what, n in counts.items()], "Events", numbers=(1,))
+    curves = _curves(soaked.samples, f"{unit}s", warm_up(length))
+    farthest = ("farthest cart", f"{soaked.cart_max_m:.3f} m")
+    return join([tiles([*facts, *flown, farthest]), _slopes(soaked.slopes, f"per {unit}"), *curves, events])
 
 
 def _slopes(slopes: dict[str, Slope], per: str) -> Html:
@@ -105,7 +104,3 @@ def _curves(samples: Sequence[Any], unit: str, warm: float) -> list[Html]:
     curves = {NAMES[name]: np.array([float(getattr(one, name)) for one in samples]) for name in names}
     caption = f"Samples over time; the first {warm:.2g} {unit} are warm-up and do not count."
     return [el("figure", el("figcaption", caption), charts.lanes(t, curves, f"usage over {unit}", unit))]
-
-
-def _counts(counts: dict[str, int]) -> Html:
-    return table(("event", "count"), [(what, f"{n:,}") for what, n in counts.items()], "Events", numbers=(1,))
