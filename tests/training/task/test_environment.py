@@ -25,13 +25,6 @@ def begin(task=EXACT, cart=0.0, target=FAR, robots=1, model=None) -> Environment
     return environment
 
 
-def test_the_presets_are_the_seeds_range_and_a_wider_one():
-    wide = TASKS["reach-wide"]
-    assert (REACH.target_y_m, REACH.target_z_m, REACH.cart_start_m) == ((-0.4, 0.0), (0.55, 0.70), (-0.025, 0.25))
-    assert wide.target_z_m[1] == 0.80
-    assert wide.cart_start_m[0] <= -0.2
-
-
 def test_actions_span_the_commands():
     low, middle, high = to_physical(np.array([[-1, -1], [0, 0], [9, 9]], dtype=np.float32))
     assert low == pytest.approx([-1.0, -0.7])
