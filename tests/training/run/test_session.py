@@ -201,26 +201,6 @@ def test_the_validation_set_contains_no_test_target():
     assert np.mean(trials.target_m[:, 1] <= 0.70) == pytest.approx(2 / 3, abs=0.01)
 
 
-def test_a_trial_counts_once_and_has_its_closest_distance():
-    class Still(PolicyNetwork):
-        """Holds the cart and vents."""
-
-        def forward(self, observation, keep, state, dtype=torch.float32):
-            steps, batch, _ = observation.shape
-            mean = torch.tensor([0.0, 2 * 0.7 / 20.7 - 1.0]).expand(steps, batch, 2)
-            return mean, torch.zeros(steps, batch), state
-
-    targets = np.array([[0.0, 0.53], [-0.3, 0.80]], dtype=np.float32)
-    trials = validation.Scenarios(validation.at_rest(np.zeros(2), 5), targets)
-    with workers(1) as pool:
-        outcome = validation.fly(Still(NetworkShape(INPUTS, ACTIONS)), TASK, trials, pool)
-    assert outcome.reached.tolist() == [True, False]
-    assert outcome.time_s[0] == pytest.approx(1 / 30)
-    assert outcome.time_s[1] == pytest.approx(100 / 30)
-    assert outcome.closest_m[0] < 0.04
-    assert 0.1 < outcome.closest_m[1] < 0.5
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_the_commands_train_and_export(tmp_path):
