@@ -61,15 +61,17 @@ class Rollout(NamedTuple):
     following: Tensor  # value of the state after each step; 0 after a termination
     done: Tensor  # 1 where an episode ended, by termination or time-out
 
+    def of(self, robots: Tensor) -> "Rollout":
+        """Return the experience of some robots, given by their indices."""
+        hidden, cell = self.state
+        steps = {name: part[:, robots] for name, part in self._asdict().items() if name != "state"}
+        return Rollout(**steps | {"state": (hidden[robots], cell[robots])})
+
 
 class Batch(NamedTuple):
-    """Training data of B robots over T steps, [T, B, ...]; values are normalised."""
+    """Training data of B robots over T steps, [T, B]; values are normalised."""
 
-    observation: Tensor
-    keep: Tensor  # 0 where an episode begins
-    state: RecurrentState  # before the first step, [B, size] each
-    action: Tensor
-    old_mean: Tensor
+    flown: Rollout
     old_log_std: Tensor  # [A], the same for all robots
     old_log_probability: Tensor
     advantage: Tensor  # normalised over the whole roll-out
@@ -78,10 +80,8 @@ class Batch(NamedTuple):
 
     def of(self, robots: Tensor) -> "Batch":
         """Return the data of some robots, given by their indices."""
-        hidden, cell = self.state
-        others = {"state": (hidden[robots], cell[robots]), "old_log_std": self.old_log_std}
-        steps = {name: part[:, robots] for name, part in self._asdict().items() if name not in others}
-        return Batch(**steps, **others)
+        steps = (part[:, robots] for part in self[2:])
+        return Batch(self.flown.of(robots), self.old_log_std, *steps)
 
 
 class Statistics(NamedTuple):
@@ -139,15 +139,16 @@ def surrogate(
 
     `dtype` is the type of the matrix products.
     """
-    mean, value, _ = network(batch.observation, batch.keep, batch.state, dtype)
-    ratio = torch.exp(log_probability(batch.action, mean, network.log_std) - batch.old_log_probability)
+    flown = batch.flown
+    mean, value, _ = network(flown.observation, flown.keep, flown.state, dtype)
+    ratio = torch.exp(log_probability(flown.action, mean, network.log_std) - batch.old_log_probability)
     clipped_ratio = ratio.clamp(1 - config.clip, 1 + config.clip)
     gain = torch.minimum(ratio * batch.advantage, clipped_ratio * batch.advantage)
     clipped_value = batch.old_value + (value - batch.old_value).clamp(-config.clip, config.clip)
     value_loss = torch.maximum((value - batch.target) ** 2, (clipped_value - batch.target) ** 2).mean()
     beyond = torch.relu(mean.abs() - config.bounds_limit).square().sum(-1).mean()
     loss = -gain.mean() + 0.5 * config.value_coefficient * value_loss + config.bounds_coefficient * beyond
-    kl = kl_divergence(batch.old_mean, batch.old_log_std, mean, network.log_std)
+    kl = kl_divergence(flown.mean, batch.old_log_std, mean, network.log_std)
     return loss, kl, value_loss
 
 
@@ -262,18 +263,7 @@ class Ppo:
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate
 
-        whole = Batch(
-            rollout.observation,
-            rollout.keep,
-            rollout.state,
-            rollout.action,
-            rollout.mean,
-            old_log_std,
-            old_log_probability,
-            advantage,
-            old_value,
-            target,
-        )
+        whole = Batch(rollout, old_log_std, old_log_probability, advantage, old_value, target)
         robots = rollout.reward.shape[1]
         figures = []
         for _ in range(config.mini_epochs):
