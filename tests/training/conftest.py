@@ -4,9 +4,17 @@ from base64 import b64decode
 
 import pytest
 
+from softarm.training.learn.inference import workers
 from softarm.training.record import curve, path_figure
 
 PIXEL = b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg==")
+
+
+@pytest.fixture
+def pool():
+    """Provide one thread for the learner."""
+    with workers(1) as pool:
+        yield pool
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import torch
 
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import OBSERVATION
-from softarm.training.learn.inference import infer, workers
+from softarm.training.learn.inference import infer
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.record.settings import TrainingConfig
@@ -30,22 +30,20 @@ def network(order: str) -> PolicyNetwork:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_only_an_lstm_remembers(order):
+def test_only_an_lstm_remembers(order, pool):
     made = network(order)
-    with workers(1) as pool:
-        state = made.initial_state(1)
-        first, _, state = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
-        infer_again, _, _ = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
+    state = made.initial_state(1)
+    first, _, state = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
+    infer_again, _, _ = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
     assert torch.equal(first, infer_again) == (order == "mlp")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
-def test_all_weights_learn(order):
+def test_all_weights_learn(order, pool):
     made = network(order)
     before = {name: weight.detach().clone() for name, weight in made.named_parameters()}
-    with workers(1) as pool:
-        Ppo(made, Environment(TASKS["reach"], 16, 0), PpoConfig(horizon=8), pool, 0).iterate()
+    Ppo(made, Environment(TASKS["reach"], 16, 0), PpoConfig(horizon=8), pool, 0).iterate()
     assert [name for name, weight in made.named_parameters() if torch.equal(weight, before[name])] == []
 
 
@@ -54,31 +52,27 @@ def test_an_unknown_order_is_refused():
         NetworkShape(order="gru")
 
 
-def test_observation_noise_affects_the_learner_alone():
+def test_observation_noise_affects_the_learner_alone(pool):
     seen = {}
     for noise in (0.0, 0.1):
-        with workers(1) as pool:
-            learner = Ppo(
-                network("mlp"), Environment(TASKS["reach"], 8, 0), PpoConfig(observation_noise=noise), pool, 0
-            )
-            observation = torch.zeros(8, 10)
-            seen[noise] = learner._noisy(observation) / learner.network.observation_normaliser.scale()
+        learner = Ppo(network("mlp"), Environment(TASKS["reach"], 8, 0), PpoConfig(observation_noise=noise), pool, 0)
+        observation = torch.zeros(8, 10)
+        seen[noise] = learner._noisy(observation) / learner.network.observation_normaliser.scale()
     assert torch.equal(seen[0.0], torch.zeros(8, 10))
     assert 0.06 < float(seen[0.1].std()) < 0.14
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures")
-def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path):
+def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path, pool):
     task = replace(TASKS["reach"], muscle=False)
     environment = Environment(task, 8, 0)
     environment.reset()
     for _ in range(10):
         environment.step(np.ones((8, 2), dtype=np.float32))
         assert np.array_equal(environment.simulator.pressure_kpa, np.zeros(8))
-    with workers(1) as pool:
-        session = Session(task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
-        policy = OnnxPolicy(str(session.run(frames=512, minutes=None)))
+    session = Session(task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
+    policy = OnnxPolicy(str(session.run(frames=512, minutes=None)))
     golden = np.array(policy.metadata.golden.outputs)
     assert golden[:, 1] == pytest.approx(np.full(len(golden), VENTED), abs=1e-6)
     action = policy.step(np.full(len(OBSERVATION), 0.3, np.float32), np.array((-0.2, 0.6), np.float32))

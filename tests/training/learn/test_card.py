@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorDeviceMismatchError, FakeTensorMode
 
-from softarm.training.learn.inference import device_named, workers
+from softarm.training.learn.inference import device_named
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.learn.validation import fly, validation_scenarios
@@ -55,10 +55,10 @@ def test_an_iteration_and_a_flight_leave_no_memory_on_the_card(elsewhere, order)
 
 
 @pytest.mark.parametrize(("name", "sentence"), [("tpu", "give one of cpu, cuda"), ("cuda", "sees no such card here")])
-def test_a_missing_device_is_refused(monkeypatch, tmp_path, name, sentence):
+def test_a_missing_device_is_refused(monkeypatch, tmp_path, name, sentence, pool):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     recipe = RECIPES["reach"].model_copy(update={"settings": {"run.device": name}})
-    with workers(1) as pool, pytest.raises(ValueError, match=rf"run\.device is '{name}'.*{sentence}"):
+    with pytest.raises(ValueError, match=rf"run\.device is '{name}'.*{sentence}"):
         begin(recipe, 1, tmp_path, pool, resume=False)
     assert not (tmp_path / "latest.pt").exists()
     assert device_named("cpu") == torch.device("cpu")

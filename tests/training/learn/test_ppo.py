@@ -83,12 +83,11 @@ def learner(pool, robots=16, **config) -> Ppo:
     return Ppo(network, Environment(TASKS["reach"], robots, 0), PpoConfig(**config), pool, 0)
 
 
-def test_the_following_value_is_zero_after_a_termination_and_not_after_a_time_out():
-    with workers(1) as pool:
-        ppo = learner(pool, robots=64)
-        ppo.environment._elapsed[:] = 95  # everybody runs out of time within the roll-out
-        first = ppo._observation.clone()
-        rollout, _ = ppo._collect()
+def test_the_following_value_is_zero_after_a_termination_and_not_after_a_time_out(pool):
+    ppo = learner(pool, robots=64)
+    ppo.environment._elapsed[:] = 95  # everybody runs out of time within the roll-out
+    first = ppo._observation.clone()
+    rollout, _ = ppo._collect()
     assert torch.equal(rollout.observation[0], first)
     assert torch.all(rollout.keep[0] == 0.0)  # the first observation begins an episode
     torch.testing.assert_close(rollout.keep[1:], 1.0 - rollout.done[:-1])
@@ -111,26 +110,25 @@ def test_the_number_of_threads_changes_no_bit():
     assert all(torch.equal(results[0][key], results[1][key]) for key in results[0])
 
 
-def test_learning_raises_the_value_of_good_actions():
+def test_learning_raises_the_value_of_good_actions(pool):
     """One batch learned again and again: actions that paid become likelier than those that did not."""
-    with workers(1) as pool:
-        ppo = learner(pool, robots=64, minibatches=1, mini_epochs=5, learning_rate=1e-3)
-        rollout, _ = ppo._collect()
-        rollout = rollout._replace(
-            reward=rollout.action[..., 0],
-            value=torch.zeros_like(rollout.value),
-            done=torch.ones_like(rollout.done),
-            following=torch.zeros_like(rollout.following),
-        )
-        before = rollout.mean[..., 0].mean()
-        statistics = ppo._learn(rollout)
-        with torch.no_grad():
-            mean, _, _ = ppo.network(rollout.observation, rollout.keep, rollout.state)
+    ppo = learner(pool, robots=64, minibatches=1, mini_epochs=5, learning_rate=1e-3)
+    rollout, _ = ppo._collect()
+    rollout = rollout._replace(
+        reward=rollout.action[..., 0],
+        value=torch.zeros_like(rollout.value),
+        done=torch.ones_like(rollout.done),
+        following=torch.zeros_like(rollout.following),
+    )
+    before = rollout.mean[..., 0].mean()
+    statistics = ppo._learn(rollout)
+    with torch.no_grad():
+        mean, _, _ = ppo.network(rollout.observation, rollout.keep, rollout.state)
     assert float(mean[..., 0].mean() - before) > 0.02
     assert statistics.kl > 0.0
     assert math.isfinite(statistics.value_loss)
 
 
-def test_a_number_of_robots_that_does_not_split_is_refused():
-    with workers(1) as pool, pytest.raises(ValueError, match="multiple of 4"):
+def test_a_number_of_robots_that_does_not_split_is_refused(pool):
+    with pytest.raises(ValueError, match="multiple of 4"):
         learner(pool, robots=18)

@@ -69,16 +69,15 @@ def reported(curve):
 
 
 @pytest.mark.usefixtures("plain_pictures")
-def test_a_resumed_run_writes_each_point_once(tmp_path):
-    with workers(1) as pool:
-        killed = session(tmp_path, pool)
-        for _ in range(3):  # one beyond its last checkpoint
-            killed.advance()
-        killed.events.close()
-        assert len(read(tmp_path / "tensorboard")["learner/kl"]) == 3
-        resumed = session(tmp_path, pool, resume=True)
-        assert len(resumed.curve) == 2
-        resumed.run(frames=4 * FRAMES, minutes=None)
+def test_a_resumed_run_writes_each_point_once(tmp_path, pool):
+    killed = session(tmp_path, pool)
+    for _ in range(3):  # one beyond its last checkpoint
+        killed.advance()
+    killed.events.close()
+    assert len(read(tmp_path / "tensorboard")["learner/kl"]) == 3
+    resumed = session(tmp_path, pool, resume=True)
+    assert len(resumed.curve) == 2
+    resumed.run(frames=4 * FRAMES, minutes=None)
     assert [row.frames for row in resumed.curve] == [FRAMES, 2 * FRAMES, 3 * FRAMES, 4 * FRAMES]
     assert [row.validation is None for row in resumed.curve] == [True, False, True, False]
     assert read(tmp_path / "tensorboard") == reported(resumed.curve)
@@ -101,11 +100,10 @@ def test_training_without_tensorboard_continues_with_one_message(tmp_path, monke
 
 
 @pytest.mark.usefixtures("plain_pictures")
-def test_a_read_only_folder_does_not_stop_a_run(tmp_path):
+def test_a_read_only_folder_does_not_stop_a_run(tmp_path, pool):
     (tmp_path / "tensorboard").write_text("in the way")
-    with workers(1) as pool:
-        run = session(tmp_path, pool)
-        run.run(frames=2 * FRAMES, minutes=None)
+    run = session(tmp_path, pool)
+    run.run(frames=2 * FRAMES, minutes=None)
     assert len(run.curve) == 2
     assert str(tmp_path / "tensorboard") in run.events.fault
 
@@ -147,11 +145,10 @@ def test_the_picture_shows_every_trial_of_the_54_targets():
     assert any(word.endswith("cm away") for word in words)
 
 
-def test_a_report_is_one_self_contained_file(tmp_path):
-    with workers(1) as pool:
-        run = session(tmp_path, pool)
-        run.run(frames=2 * FRAMES, minutes=None)
-        text = report.write(run, flown()).read_text()
+def test_a_report_is_one_self_contained_file(tmp_path, pool):
+    run = session(tmp_path, pool)
+    run.run(frames=2 * FRAMES, minutes=None)
+    text = report.write(run, flown()).read_text()
     for picture in ("learning_curve.png", "tip_paths.png"):
         content = (tmp_path / picture).read_bytes()
         assert content.startswith(b"\x89PNG")
@@ -166,12 +163,11 @@ def test_a_report_is_one_self_contained_file(tmp_path):
 
 
 @pytest.mark.prove
-def test_the_shelf_is_drawn_with_its_boards(tmp_path):
-    with workers(1) as pool:
-        run = session(tmp_path, pool, task=ShelfTask())
-        run.run(frames=2 * FRAMES, minutes=None)
-        tested = flown_at_shelf(run, pool)
-        text = report.write(run, tested).read_text()
+def test_the_shelf_is_drawn_with_its_boards(tmp_path, pool):
+    run = session(tmp_path, pool, task=ShelfTask())
+    run.run(frames=2 * FRAMES, minutes=None)
+    tested = flown_at_shelf(run, pool)
+    text = report.write(run, tested).read_text()
     assert "shelf, seed 3" in text
     assert text.count("data:image/png;base64,") == 2
     figure = path_figure.draw(tested, run.task, run.title)

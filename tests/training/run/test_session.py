@@ -60,14 +60,13 @@ def finished(tmp_path_factory) -> Session:
 
 
 @pytest.mark.slow
-def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path):
-    with workers(1) as pool:
-        killed = session(tmp_path, pool)
-        for _ in range(3):  # one beyond its last checkpoint
-            killed.advance()
-        resumed = session(tmp_path, pool, resume=True)
-        assert len(resumed.curve) == 2
-        resumed.run(frames=4 * FRAMES, minutes=None)
+def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path, pool):
+    killed = session(tmp_path, pool)
+    for _ in range(3):  # one beyond its last checkpoint
+        killed.advance()
+    resumed = session(tmp_path, pool, resume=True)
+    assert len(resumed.curve) == 2
+    resumed.run(frames=4 * FRAMES, minutes=None)
     for mine, theirs in (
         (resumed.network.state_dict(), finished.network.state_dict()),
         (resumed.average.state_dict(), finished.average.state_dict()),
@@ -80,15 +79,14 @@ def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path):
     assert without_time(resumed.curve) == without_time(finished.curve)
 
 
-def test_validation_uses_a_moving_average_of_the_weights(tmp_path):
-    with workers(1) as pool:
-        run = session(tmp_path, pool)
-        expected = torch.zeros_like(run.network.value_head.weight)
-        seen = []
-        for k in range(3):
-            run.advance()
-            seen.append(run.network.value_head.weight.detach().clone())
-            expected = expected.lerp(seen[-1], averaged_share(k, run.config.averaging))
+def test_validation_uses_a_moving_average_of_the_weights(tmp_path, pool):
+    run = session(tmp_path, pool)
+    expected = torch.zeros_like(run.network.value_head.weight)
+    seen = []
+    for k in range(3):
+        run.advance()
+        seen.append(run.network.value_head.weight.detach().clone())
+        expected = expected.lerp(seen[-1], averaged_share(k, run.config.averaging))
     torch.testing.assert_close(run.average.value_head.weight.detach(), expected, atol=1e-7, rtol=1e-4)
     assert (seen[1] - seen[0]).abs().max() > 1e-5
     assert torch.equal(run.average.observation_normaliser.mean, run.network.observation_normaliser.mean)
@@ -119,7 +117,7 @@ def test_the_policy_file_describes_itself_and_reproduces_its_golden_run(finished
 
 
 @pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
-def test_onnx_equals_torch_over_a_full_episode_with_resets(order):
+def test_onnx_equals_torch_over_a_full_episode_with_resets(order, pool):
     network, robots = lively_network(order), 16
     policy = onnxruntime.InferenceSession(onnx_model(network).SerializeToString())
     environment = Environment(TASK, robots, 1)
@@ -128,18 +126,17 @@ def test_onnx_equals_torch_over_a_full_episode_with_resets(order):
     state, keep = network.initial_state(robots), torch.ones(robots)
     h, c = (part.numpy()[None] for part in state)
     resets, spread = 0, []
-    with workers(1) as pool:
-        for _ in range(100):
-            mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool)
-            kept = keep.numpy()[None, :, None]
-            feed = {"observation": observation, "h_in": h * kept, "c_in": c * kept}
-            action, h, c = policy.run(None, feed)
-            np.testing.assert_allclose(action, mean.clamp(-1, 1).numpy(), atol=1e-5, rtol=0)
-            spread.append(action.std())
-            step = environment.step(action)
-            over = step.terminated | step.truncated
-            resets += int(over.sum())
-            keep, observation = torch.from_numpy(1.0 - over.astype(np.float32)), step.observation
+    for _ in range(100):
+        mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool)
+        kept = keep.numpy()[None, :, None]
+        feed = {"observation": observation, "h_in": h * kept, "c_in": c * kept}
+        action, h, c = policy.run(None, feed)
+        np.testing.assert_allclose(action, mean.clamp(-1, 1).numpy(), atol=1e-5, rtol=0)
+        spread.append(action.std())
+        step = environment.step(action)
+        over = step.terminated | step.truncated
+        resets += int(over.sum())
+        keep, observation = torch.from_numpy(1.0 - over.astype(np.float32)), step.observation
     assert resets >= robots // 2
     assert np.mean(spread) > 0.05  # actions that all look alike would prove nothing
 
@@ -152,18 +149,17 @@ def test_the_graph_needs_no_operator_set_above_17():
     assert names == [["observation", "h_in", "c_in"], ["action", "h_out", "c_out"]]
 
 
-def test_other_settings_cannot_resume_a_run(finished):
-    with workers(1) as pool, pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
+def test_other_settings_cannot_resume_a_run(finished, pool):
+    with pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
         session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
 
 
 @pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
-def test_a_run_ends_after_validations_without_improvement(tmp_path):
+def test_a_run_ends_after_validations_without_improvement(tmp_path, pool):
     config = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
-    with workers(1) as pool:
-        run = session(tmp_path, pool, config=config)
-        run.run(frames=100 * 256, minutes=None)
+    run = session(tmp_path, pool, config=config)
+    run.run(frames=100 * 256, minutes=None)
     validated = [row.validation for row in run.curve]
     assert len(validated) < 100
     assert max(validated[-2:]) <= max(validated[:-2])

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from softarm.training.learn.inference import workers
 from softarm.training.run import sweep
 from softarm.training.run.recipe import RECIPES, Recipe, begin, prepare
 from softarm.training.run.sweep import Result, SweepError
@@ -33,17 +32,16 @@ def file(tmp_path):
 
 @pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
-def test_a_restarted_sweep_skips_finished_runs(file, tmp_path):
+def test_a_restarted_sweep_skips_finished_runs(file, tmp_path, pool):
     out, wanted = tmp_path / "runs", sweep.load(file)
     todo, finished = sweep.plan(wanted, out, threads=1)
     assert [(work.name, work.seed) for work in todo] == [("full", 1), ("mlp", 1), ("full", 2), ("mlp", 2)]
     assert finished == []
 
     killed = todo[1]  # after its first checkpoint
-    with workers(1) as pool:
-        session = begin(Recipe.model_validate(killed.recipe), killed.seed, Path(killed.folder), pool, resume=False)
-        session.advance()
-        session.advance()
+    session = begin(Recipe.model_validate(killed.recipe), killed.seed, Path(killed.folder), pool, resume=False)
+    session.advance()
+    session.advance()
     results = list(sweep.locally(todo[:2], 1))
     assert {result.name for result in results} == {"full", "mlp"}
     rows = (Path(killed.folder) / "learning_curve.csv").read_text().splitlines()
@@ -139,10 +137,9 @@ def test_the_shipped_sweeps_can_be_run(name):
     assert sweep.load(BENCHMARKS / f"{name}.yaml").recipes()
 
 
-def test_settings_have_the_names_of_the_policys_file(tmp_path):
+def test_settings_have_the_names_of_the_policys_file(tmp_path, pool):
     recipe = Recipe(settings={**TINY, "task.target_z_m": (0.6, 0.65)}, randomise={"arm.payload.mass": (0.0, 0.02)})
-    with workers(1) as pool:
-        session = begin(recipe, 4, tmp_path, pool, resume=False)
+    session = begin(recipe, 4, tmp_path, pool, resume=False)
     for name, value in recipe.settings.items():
         assert session.settings[name] == (list(value) if isinstance(value, tuple) else value)
     assert session.settings["randomise.ranges.arm.payload.mass"] == [0.0, 0.02]

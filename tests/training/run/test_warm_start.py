@@ -8,7 +8,6 @@ import torch
 from onnx import numpy_helper
 
 from softarm.policies.base import MODELS
-from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import export
@@ -43,30 +42,26 @@ def test_a_policy_is_read_and_exported_again_bit_for_bit(name):
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", pytest.param("mlp", marks=pytest.mark.prove)])
-def test_training_continues_from_any_order_of_layers(order, tmp_path):
+def test_training_continues_from_any_order_of_layers(order, tmp_path, pool):
     shape = NetworkShape(INPUTS, ACTIONS, mlp=(16, 12), state=8, order=order)
-    with workers(1) as pool:
-        session = Session(TASKS["reach"], SMALL, PpoConfig(), tmp_path / "first", pool, resume=False, shape=shape)
-        file = session.run(frames=64 * 16, minutes=None)
-        prior = warm_start.load_weights(file)
-        assert prior.network.shape == shape
-        before, after = weights(onnx.load(file)), weights(export.onnx_model(prior.network))
-        assert {name: each.tobytes() for name, each in before.items()} == {
-            name: each.tobytes() for name, each in after.items()
-        }
-        again = Session(
-            prior.task, SMALL, PpoConfig(), tmp_path / "second", pool, resume=False, shape=prior.network.shape
-        )
-        warm_start.begin(again, prior, critic_iterations=1)
-        again.advance()
+    session = Session(TASKS["reach"], SMALL, PpoConfig(), tmp_path / "first", pool, resume=False, shape=shape)
+    file = session.run(frames=64 * 16, minutes=None)
+    prior = warm_start.load_weights(file)
+    assert prior.network.shape == shape
+    before, after = weights(onnx.load(file)), weights(export.onnx_model(prior.network))
+    assert {name: each.tobytes() for name, each in before.items()} == {
+        name: each.tobytes() for name, each in after.items()
+    }
+    again = Session(prior.task, SMALL, PpoConfig(), tmp_path / "second", pool, resume=False, shape=prior.network.shape)
+    warm_start.begin(again, prior, critic_iterations=1)
+    again.advance()
 
 
-def test_the_critic_is_fitted_while_the_actor_is_fixed(tmp_path):
+def test_the_critic_is_fitted_while_the_actor_is_fixed(tmp_path, pool):
     prior = warm_start.load_weights(MODELS / "reach.onnx")
-    with workers(1) as pool:
-        session = Session(prior.task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
-        fresh = {name: value.clone() for name, value in session.network.named_parameters()}
-        warm_start.begin(session, prior, std=0.5, critic_iterations=3)
+    session = Session(prior.task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
+    fresh = {name: value.clone() for name, value in session.network.named_parameters()}
+    warm_start.begin(session, prior, std=0.5, critic_iterations=3)
     learnt, given = session.network.state_dict(), prior.network.state_dict()
     for name, _ in prior.network.named_parameters():
         if name == "log_std":

@@ -9,7 +9,6 @@ from softarm.schemas.model import Model
 from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.training.learn import validation
-from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.run.recipe import ROBUST
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
@@ -183,12 +182,11 @@ def test_a_snapshot_is_continued_bit_for_bit(task, model, ranges):
     assert same([two.step(action) for action in plan[30:]], expected)
 
 
-def test_the_closest_distance_of_a_trial_is_the_true_one():
+def test_the_closest_distance_of_a_trial_is_the_true_one(pool):
     network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
     trials = validation.Scenarios(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
     displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
-    with workers(1) as pool:
-        outcome = validation.fly(network, REACH, trials, pool, model=displaced)
+    outcome = validation.fly(network, REACH, trials, pool, model=displaced)
     assert outcome.reached[0]
     assert outcome.closest_m[0] < REACH.success_radius_m
 

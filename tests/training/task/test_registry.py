@@ -10,7 +10,6 @@ pytest.importorskip("torch")
 
 from softarm.common.plugins import PluginError
 from softarm.policies.onnx_policy import OnnxPolicy
-from softarm.training.learn.inference import workers
 from softarm.training.record.checkpoint import CheckpointError, load, task_of
 from softarm.training.run import recipe, warm_start
 from softarm.training.task import registry
@@ -103,10 +102,9 @@ def test_an_invalid_reward_is_refused(reward, text):
 
 
 @pytest.mark.slow
-def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path):
+def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path, pool):
     out, settings = tmp_path / "run", {"run.robots": 8, "run.validation_trials": 12}
-    with workers(1) as pool:
-        recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)
+    recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)
     saved = load(out / "best.pt")
     assert saved["settings"]["task.plugin"] == "near"
     assert task_of(saved) == registry.load("near")
