@@ -110,12 +110,12 @@ def begun(
     ticks = Ticks()
     config = Config(failsafe=WAYS[way])
     if body == SIMULATOR:
-        daemon = Lockstep(config, policy, recorder=ticks, body=SimulatedBody())
+        daemon = Lockstep(config, policy, record=ticks.tick, body=SimulatedBody())
     else:
         from softarm.drivers.bodies.independent import IndependentBody
 
         robot = IndependentBody(ROBOTS[body], seed, cart_position_m=cart_start_m)
-        daemon = Lockstep(config, policy, recorder=ticks, body=robot)
+        daemon = Lockstep(config, policy, record=ticks.tick, body=robot)
     cameras = daemon.robot.mocap = Blinking(daemon.robot, seed, dropout_s, NOISE_M if body == SIMULATOR else 0.0)
     daemon.arm()
     if body == SIMULATOR:

@@ -147,7 +147,7 @@ class Flight(NamedTuple):
 def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.random.Generator | None) -> Flight:
     """Fly goals (or one `run` if None) for a given time, arming again after every stop."""
     body, ticks = robot.make(), Ticks()
-    daemon = Lockstep(config, policy, recorder=ticks, body=body)
+    daemon = Lockstep(config, policy, record=ticks.tick, body=body)
     stops, outputs = -1, daemon.tick()
     while outputs.t_ns < seconds * 1e9:
         if outputs.mode is not Mode.ARMED:

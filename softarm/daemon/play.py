@@ -92,7 +92,7 @@ def play_simulated(
     recorder = Recorder(config, policy.spec)
     recorder.start()
     try:
-        lockstep = Lockstep(config, policy, model, recorder, body)
+        lockstep = Lockstep(config, policy, model, recorder.tick, body)
         lockstep.arm()
         outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
         while outputs.goal.state == "running":

@@ -28,7 +28,7 @@ def record(directory: Path) -> Path:
     policy = registry.load("reach")
     recorder = Recorder(config, policy.spec)
     recorder.start()
-    daemon, runners = Lockstep(config, policy, recorder=recorder), {}
+    daemon, runners = Lockstep(config, policy, record=recorder.tick), {}
     tick = daemon.controller.tick
     daemon.controller.tick = lambda inputs: tick(inputs, runners)  # as the loop hands over a policy that was loaded
 

@@ -18,7 +18,7 @@ from softarm.daemon.api.endpoints.dashboard import DashboardFiles
 from softarm.daemon.api.endpoints.files import Files
 from softarm.daemon.api.endpoints.login import Login
 from softarm.daemon.api.endpoints.observation import Observation
-from softarm.daemon.api.endpoints.policies import Installed, PolicyEndpoints
+from softarm.daemon.api.endpoints.policies import Policies, PolicyEndpoints
 from softarm.daemon.api.refusals import Refused, on_http_error, on_refused, refusal
 from softarm.daemon.api.requests import Requests
 from softarm.daemon.api.status import StatusView
@@ -41,7 +41,7 @@ def create_app(context: ApiContext) -> FastAPI:
     """
     access = AccessControl(context.config.api)
     sessions = context.sessions or Sessions(context.config.api.port)
-    policies = context.policies or Installed(context.config)
+    policies = context.policies or Policies(context.config)
     view = StatusView(context, policies.available())
     requests = Requests(context.inbox, view, context.clock)
     # FastAPI's own page loads its scripts from the internet, which a bench may not have.

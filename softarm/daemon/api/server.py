@@ -48,9 +48,7 @@ class ApiServer:
         """
         listener = listen(self._config.host, self._config.port, "api.port", bounds.CONNECTIONS_MAX)
         port = int(listener.getsockname()[1])
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._serve_until_stopped(listener)), name="api", daemon=True
-        )
+        self._thread = threading.Thread(target=self._serve, args=(listener,), name="api", daemon=True)
         self._thread.start()
         deadline = time.monotonic() + START_S
         while not self._server.started:

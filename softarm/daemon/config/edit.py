@@ -54,7 +54,7 @@ def _with_value(text: str, path: Path, place: tuple[str, ...], value: Value) -> 
 
 def _inserted(document: Document, lines: list[str], place: tuple[str, ...], value: Value) -> str:
     """Insert a value at the start of its innermost existing group, or at the end of the file."""
-    depth = max(n for n in range(len(place)) if place[:n] in document.lines and (n == 0 or place[:n]))
+    depth = max(n for n in range(len(place)) if place[:n] in document.lines)
     inside = [at for at in document.lines if at[:depth] == place[:depth] and len(at) == depth + 1]
     if inside:
         begin = min(document.lines[at] for at in inside) - 1

@@ -8,18 +8,17 @@ import gc
 import logging
 import threading
 import time
-from typing import Protocol
 
 from softarm.common import realtime
 from softarm.daemon.control.failsafe import Event
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
+from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.service import Watchdog
 from softarm.daemon.runtime.wakeup import PunctualSelector
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.tick import Controller
-from softarm.policies.base import PolicySpec
 from softarm.policies.runner import PolicyRunner
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
@@ -34,22 +33,6 @@ COLLECT_SLACK_NS = 15_000_000
 COLLECT_ALL_EVERY = 300
 
 
-class TickRecorder(Protocol):
-    """Recorder of ticks that never blocks."""
-
-    problem: str | None
-
-    @property
-    def dropped(self) -> int:
-        """Return the number of ticks lost since the start."""
-
-    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
-        """Record one tick with its timing."""
-
-    def policy(self, spec: PolicySpec) -> None:
-        """Record that another policy is used from now on."""
-
-
 class ControlLoop:
     """Thread that runs the controller on absolute deadlines; a late tick skips whole periods."""
 
@@ -58,7 +41,7 @@ class ControlLoop:
         controller: Controller,
         devices: Devices,
         inbox: Inbox,
-        recorder: TickRecorder,
+        recorder: Recorder,
         watchdog: Watchdog,
         latch: LatchKeeper | None = None,
         realtime_priority: int = 0,

@@ -1,9 +1,9 @@
 """Lockstep of the control tick with a robot in this process, faster than real time."""
 
+from collections.abc import Callable
 from itertools import count
 
 from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestKind, TickTiming
-from softarm.daemon.runtime.loop import TickRecorder
 from softarm.daemon.tick import Controller
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.in_process import InProcessRobot
@@ -26,14 +26,14 @@ class Lockstep:
         config: Config,
         policy: Policy,
         model: Model | None = None,
-        recorder: TickRecorder | None = None,
+        record: Callable[[Inputs, Outputs, TickTiming], None] | None = None,
         body: Body | None = None,
     ) -> None:
         self.config = config
         self.robot = InProcessRobot(body or SimulatedBody(model), hold_s=config.drivers.rail.hold_s)
         self.controller = Controller(config, InlineRunner(policy))
         self.outputs: Outputs | None = None
-        self._recorder = recorder
+        self._record = record
         self._rate_hz = config.control.rate_hz
         self._begun_ns = self.robot.now_ns  # the ticks count from here
         self._ticks = self._skipped = 0
@@ -59,8 +59,8 @@ class Lockstep:
         outputs = self.controller.tick(inputs)
         robot.rail.write(outputs.sent.enable, outputs.sent.cart_velocity_m_s)
         robot.regulator.write(outputs.sent.enable, outputs.sent.pressure_kpa)
-        if self._recorder is not None:
-            self._recorder.tick(inputs, outputs, TickTiming(0, 0, 0, 0))
+        if self._record is not None:
+            self._record(inputs, outputs, TickTiming(0, 0, 0, 0))
         self.outputs = outputs
         return outputs
 

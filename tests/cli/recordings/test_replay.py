@@ -21,7 +21,7 @@ def log(tmp_path):
     policy = registry.load("reach")
     recorder = Recorder(config, policy.spec)
     recorder.start()
-    daemon = Lockstep(config, policy, recorder=recorder)
+    daemon = Lockstep(config, policy, record=recorder.tick)
     for _ in range(900):
         daemon.tick()
     daemon.arm()

@@ -26,7 +26,7 @@ class Flight:
     def __init__(self, config: Config) -> None:
         self.recorder = Recorder(config, Hold().spec, monotonic_ns=lambda: 0, wall_ns=lambda: WALL_NS)
         self.recorder.start()
-        self.daemon = Lockstep(config, Hold(), recorder=self.recorder)
+        self.daemon = Lockstep(config, Hold(), record=self.recorder.tick)
 
     def ticks(self, seconds: float, *kinds) -> None:
         """Run for a time, with the requests in the first tick."""

@@ -25,7 +25,7 @@ def recording(directory, policy="reach", **settings):
     config, loaded = Config(recorder={"directory": directory, **settings}), registry.load(policy)
     recorder = Recorder(config, loaded.spec)
     recorder.start()
-    yield Lockstep(config, loaded, recorder=recorder), recorder
+    yield Lockstep(config, loaded, record=recorder.tick), recorder
     recorder.stop()
 
 

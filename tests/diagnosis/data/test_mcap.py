@@ -20,7 +20,7 @@ def recording(tmp_path_factory):
     policy = Excite("pressure-multisine")
     recorder = Recorder(config, policy.spec)
     recorder.start()
-    lockstep = Lockstep(config, policy, recorder=recorder)
+    lockstep = Lockstep(config, policy, record=recorder.tick)
     lockstep.arm()
     outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
     while outputs.goal.state == "running":

@@ -19,7 +19,7 @@ def example() -> bytes:
     from softarm.schemas.config import Config
 
     ticks = Ticks()
-    Lockstep(Config(), Hold(), recorder=ticks).arm()
+    Lockstep(Config(), Hold(), record=ticks.tick).arm()
     path = folder() / "live.mcap"
     with path.open("wb") as file:
         live = TickFile(file)

@@ -11,6 +11,7 @@ from typing import Any
 
 from softarm.daemon.api.app import create_app
 from softarm.daemon.api.context import ApiContext
+from softarm.daemon.api.endpoints.policies import Policies
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import Outputs
@@ -40,7 +41,7 @@ _STREAM = (
 )
 
 
-class _Policies:
+class _Policies(Policies):
     """Stand-in with one policy and none that loads, since policies are not under test here."""
 
     def available(self) -> Mapping[str, PolicyEntry]:
@@ -126,7 +127,7 @@ def _port(start: Callable[[], int], next_path: bytes) -> Parser:
 def _server() -> Parser:
     logging.getLogger("uvicorn").setLevel(logging.CRITICAL)
     robot = _Robot()
-    context = ApiContext(Config(), robot.inbox, robot.snapshot, policies=_Policies(), clock=robot.clock)
+    context = ApiContext(Config(), robot.inbox, robot.snapshot, policies=_Policies(Config()), clock=robot.clock)
     return _port(ApiServer(Api(port=0), create_app(context)).start, b"/api/disarm")
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
 from fastapi.openapi.models import Example
@@ -25,19 +25,9 @@ LOADS_MAX, LOADING_S = 2, 120.0
 EXAMPLES: dict[str, Example] = {"reach": {"value": {"name": "reach"}}}
 
 
-class Policies(Protocol):
-    """A source of policies. Both calls may be slow and run in a worker thread."""
-
-    def available(self) -> Mapping[str, PolicyEntry]:
-        """Return all policies by name."""
-
-    def load(self, name: str) -> Policy:
-        """Return a policy that has done its first step, or raise PolicyError."""
-
-
 @dataclass(frozen=True, slots=True)
-class Installed:
-    """The installed, shipped and configured policies."""
+class Policies:
+    """The installed, shipped and configured policies. Both calls may be slow and run in a worker thread."""
 
     config: Config
 
