@@ -20,7 +20,7 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.first_policy import first_policy
 from softarm.daemon.runtime.loop import ControlLoop
-from softarm.daemon.runtime.service import Notifier, Watchdog, allow_descriptors
+from softarm.daemon.runtime.service import Notifier, allow_descriptors
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
@@ -68,14 +68,13 @@ class Daemon:
         self.inbox = Inbox()
         self.latch = latch
         self.notifier = Notifier()
-        self.watchdog = Watchdog(self.notifier)
         controller = Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s))
         self.loop = ControlLoop(
             controller,
             devices,
             self.inbox,
             self.recorder,
-            self.watchdog,
+            self.notifier,
             latch,
             config.control.realtime_priority,
         )

@@ -85,7 +85,7 @@ class Controller:
         if self._machine.mode in (Mode.DISARMED, Mode.STOPPED):
             self._observer.alignment.restart()  # else a latency measured once would never be measured again
         if self._machine.mode is not Mode.ARMED:
-            self._goals.fail(self._machine.last_stop or "the arm is not armed")
+            self._goals.end("failed", self._machine.last_stop or "the arm is not armed")
         requested = self._requested(outcome)
         sent, clamps = self._safety.apply(requested, inputs.rail, inputs.t_ns)
         self._sent = sent
@@ -161,7 +161,7 @@ class Controller:
             case "goal":
                 reasons = self._start_goal(request.goal)
             case "cancel_goal":
-                self._goals.cancel("cancelled by request")
+                self._goals.end("cancelled", "cancelled by request")
             case "policy":
                 reasons = self._use_policy(runners.get(request.number))
         self._results.append(RequestResult(request.number, not reasons, reasons))

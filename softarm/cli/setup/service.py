@@ -57,7 +57,7 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
     system = here.look(root)
     steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
     for step in steps:
-        click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step.summary}")
+        click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step}")
         if dry_run:
             click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
         else:

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import shlex
 import socket
-from collections.abc import Callable
 from pathlib import Path
 
 from softarm.daemon.access.holders import holders
@@ -16,43 +15,26 @@ class ApiError(Exception):
     """The API or the dedicated stop port cannot be opened; the text has the address and the next step."""
 
 
-def listen(host: str, port: int, key: str, backlog: int) -> socket.socket:
+def listen(host: str, port: int, key: str, backlog: int | None) -> socket.socket:
     """Return a listening TCP socket.
 
     Args:
         host: address of this computer.
         port: TCP port; 0 for any free one.
         key: configuration key of the port, for the error's text.
-        backlog: connections that may wait.
+        backlog: connections that may wait; None leaves the socket bound without listening.
 
     Raises:
         ApiError: if the address cannot be bound.
     """
-    return _opened(host, port, key, lambda opened: opened.listen(backlog))
-
-
-def try_out(host: str, port: int, key: str) -> None:
-    """Check that `listen` would succeed without blocking the port; raise ApiError otherwise."""
-    _opened(host, port, key, lambda _: None).close()
-
-
-def _bound(host: str, port: int) -> socket.socket:
-    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    made = socket.socket(family, kind, protocol)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
-    except OSError:
-        made.close()
-        raise
-    return made
-
-
-def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], None]) -> socket.socket:
-    try:
-        opened = _bound(host, port)
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        opened = socket.socket(family, kind, protocol)
         try:
-            begin(opened)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            opened.bind(address)
+            if backlog is not None:
+                opened.listen(backlog)
         except OSError:
             opened.close()
             raise
@@ -67,6 +49,11 @@ def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], Non
             f"daemon), or choose another {key}, 0 for any"
         ) from error
     return opened
+
+
+def try_out(host: str, port: int, key: str) -> None:
+    """Check that `listen` would succeed without blocking the port; raise ApiError otherwise."""
+    listen(host, port, key, None).close()
 
 
 def holder(port: int) -> str | None:

@@ -45,7 +45,7 @@ class GoalTracker:
         elapsed = (now_ns - self._started_ns) * 1e-9
         self.status = replace(self.status, time_s=elapsed)
         if goal.kind == "run" and self._run_s is not None and elapsed >= self._run_s - 1e-4:
-            self._end("reached", None)
+            self.end("reached", None)
         if goal.kind != "reach":
             return
         for y_m, z_m in tips_m:
@@ -53,10 +53,10 @@ class GoalTracker:
             closest = distance if self.status.closest_m is None else min(distance, self.status.closest_m)
             self.status = replace(self.status, closest_m=closest)
             if distance < self._config.success_radius_m:
-                self._end("reached", None)
+                self.end("reached", None)
                 return
         if elapsed >= self._config.time_limit_s - 1e-4:
-            self._end("failed", self._why_not())
+            self.end("failed", self._why_not())
 
     def _why_not(self) -> str:
         closest = self.status.closest_m
@@ -66,15 +66,7 @@ class GoalTracker:
             f"required {self._config.success_radius_m * 1e3:.0f} mm"
         )
 
-    def fail(self, reason: str) -> None:
-        """End a running goal as failed."""
+    def end(self, state: GoalState, reason: str | None) -> None:
+        """End a running goal in this state."""
         if self.running is not None:
-            self._end("failed", reason)
-
-    def cancel(self, reason: str) -> None:
-        """End a running goal as cancelled."""
-        if self.running is not None:
-            self._end("cancelled", reason)
-
-    def _end(self, state: GoalState, reason: str | None) -> None:
-        self.status = replace(self.status, state=state, reason=reason)
+            self.status = replace(self.status, state=state, reason=reason)

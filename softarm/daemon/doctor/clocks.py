@@ -1,12 +1,13 @@
 """Checks of this computer's clocks: steps, synchronisation and source."""
 
 import ctypes
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from softarm.common.finding import Finding, ok, warning
+from softarm.common.finding import Finding, by, graded, ok, warning
 
 MEASURED_S = 0.5
 STEP_FINE_S = 0.001  # slewing gives 0.5 ms a second
@@ -53,11 +54,8 @@ def judge(facts: Clocks) -> Iterator[Finding]:
     """Yield findings on steps, synchronisation and source."""
     moved_ms = abs(facts.moved_s) * 1e3
     figure = f"wall clock moved by {moved_ms:.2f} ms against the monotonic clock in {facts.watched_s:g} s"
-    if abs(facts.moved_s) > STEP_FINE_S:
-        advice = "the wall clock is being stepped, which affects times in logs: wait until it is set"
-        yield warning("clock", figure, advice)
-    else:
-        yield ok("clock", figure)
+    advice = "the wall clock is being stepped, which affects times in logs: wait until it is set"
+    yield graded("clock", by(abs(facts.moved_s), STEP_FINE_S, math.inf), figure, advice)
     if facts.synchronised is None:
         yield ok("time of day", "the system does not report whether it is synchronised")
     elif facts.synchronised:

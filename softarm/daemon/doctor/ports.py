@@ -55,7 +55,7 @@ class Axis:
 
 def look_serial(path: str, devices: Path = Path("/dev")) -> Serial:
     """Gather facts about a serial device; `devices` is searched for alternatives."""
-    user = _user()
+    user = os.environ.get("USER") or f"uid {os.geteuid()}"
     try:
         state = os.stat(path)
     except OSError:
@@ -107,10 +107,6 @@ def holder(path: str) -> str | None:
         with contextlib.suppress(OSError):  # it has ended meanwhile
             return f"{(process / 'comm').read_text().strip()}, process {process.name}"
     return None
-
-
-def _user() -> str:
-    return os.environ.get("USER") or f"uid {os.geteuid()}"
 
 
 def judge_serial(facts: Serial) -> Iterator[Finding]:

@@ -100,19 +100,14 @@ def _rates(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Findi
     late_ms = max(each["late_ns"] for each in statuses) * 1e-6
     missed = last["missed_total"] - first["missed_total"]
     figure = f"{rate_hz:.1f} Hz, at most {late_ms:.1f} ms late, {missed} missed now, {last['missed_total']} in all"
-    if missed or abs(rate_hz / wanted_hz - 1.0) > RATE_OFF_MAX:
-        yield problem("loop", figure, f"{wanted_hz} Hz required: reduce this computer's load; see `scheduling` below")
-    else:
-        yield ok("loop", figure)
+    state = State.PROBLEM if missed or abs(rate_hz / wanted_hz - 1.0) > RATE_OFF_MAX else State.OK
+    yield graded("loop", state, figure, f"{wanted_hz} Hz required: reduce this computer's load; see `scheduling` below")
     seen = [each["observed"]["mocap_sequence"] for each in (first, last) if each["observed"]]
     if len(seen) == 2:
         frames_hz = (seen[1] - seen[0]) / seconds
-        figure = f"{frames_hz:.0f} frames a second"
-        if frames_hz < wanted_hz * (1.0 - RATE_OFF_MAX):
-            advice = f"raise the cameras' rate to {wanted_hz} Hz or more, or check the bridge for lost frames"
-            yield warning("motion capture's rate", figure, advice)
-        else:
-            yield ok("motion capture's rate", figure)
+        state = State.WARNING if frames_hz < wanted_hz * (1.0 - RATE_OFF_MAX) else State.OK
+        advice = f"raise the cameras' rate to {wanted_hz} Hz or more, or check the bridge for lost frames"
+        yield graded("motion capture's rate", state, f"{frames_hz:.0f} frames a second", advice)
 
 
 def _ages(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Finding]:

@@ -97,11 +97,9 @@ def _power(facts: Scheduling) -> Iterator[Finding]:
         yield warning("cores", figure, "other programs use all cores: end them before a flight")
     else:
         yield ok("cores", figure)
-    if "powersave" in facts.governors:
-        advice = "slow wake-ups delay ticks: run `cpupower frequency-set -g performance`"
-        yield warning("governor", ", ".join(sorted(facts.governors)), advice)
-    else:
-        yield ok("governor", ", ".join(sorted(facts.governors)) or "unknown")
+    state = State.WARNING if "powersave" in facts.governors else State.OK
+    advice = "slow wake-ups delay ticks: run `cpupower frequency-set -g performance`"
+    yield graded("governor", state, ", ".join(sorted(facts.governors)) or "unknown", advice)
 
 
 def _timers(facts: Scheduling) -> Finding:

@@ -11,6 +11,7 @@ from pathlib import Path
 from softarm.common import files
 
 COMMAND_S = 60.0
+ROOT = "root is required (or --root FOLDER)"
 
 
 class StepError(Exception):
@@ -18,14 +19,12 @@ class StepError(Exception):
 
 
 class Step(ABC):
-    """A step of an installation."""
+    """A step of an installation; as text it is its summary in one line."""
 
     __slots__ = ()
 
-    @property
     @abstractmethod
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str: ...
 
     @property
     def shown(self) -> list[str]:
@@ -45,9 +44,7 @@ class Write(Step):
     text: str
     before: str | None = None  # present text; None for a new file
 
-    @property
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str:
         return f"{'write' if self.before is None else 'change'} {self.path}"
 
     @property
@@ -66,7 +63,7 @@ class Write(Step):
             files.write_text(self.path, self.text)
             self.path.chmod(0o644)
         except OSError as error:
-            raise StepError(f"{self.path}: cannot be written ({error.strerror}); {_ROOT}") from None
+            raise StepError(f"{self.path}: cannot be written ({error.strerror}); {ROOT}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +73,7 @@ class Folder(Step):
     path: Path
     owner: str | None  # None for the installing user
 
-    @property
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str:
         return f"make the folder {self.path}" + (f" for {self.owner}" if self.owner else "")
 
     def carry_out(self) -> None:
@@ -89,7 +84,7 @@ class Folder(Step):
             if self.owner is not None:
                 shutil.chown(self.path, self.owner, self.owner)
         except (OSError, LookupError) as error:
-            raise StepError(f"{self.path}: cannot be made ({error}); {_ROOT}") from None
+            raise StepError(f"{self.path}: cannot be made ({error}); {ROOT}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +93,7 @@ class Remove(Step):
 
     path: Path
 
-    @property
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str:
         return f"remove {self.path}"
 
     def carry_out(self) -> None:
@@ -108,7 +101,7 @@ class Remove(Step):
         try:
             self.path.unlink(missing_ok=True)
         except OSError as error:
-            raise StepError(f"{self.path}: cannot be removed ({error.strerror}); {_ROOT}") from None
+            raise StepError(f"{self.path}: cannot be removed ({error.strerror}); {ROOT}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,28 +110,20 @@ class Run(Step):
 
     command: tuple[str, ...]
 
-    @property
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str:
         return f"run {' '.join(self.command)}"
 
     def carry_out(self) -> None:
         """Run the program, or raise StepError with its output."""
         path = os.pathsep.join((os.environ.get("PATH", ""), "/usr/sbin", "/sbin"))
+        environment = os.environ | {"PATH": path}
         try:
-            subprocess.run(
-                self.command,
-                env=os.environ | {"PATH": path},
-                capture_output=True,
-                text=True,
-                timeout=COMMAND_S,
-                check=True,
-            )
-        except subprocess.CalledProcessError as error:
-            output = (error.stderr or error.stdout).strip() or f"exit code {error.returncode}"
-            raise StepError(f"{' '.join(self.command)}: {output}; correct it, then install again") from None
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise StepError(f"{' '.join(self.command)}: {error}; correct it, then install again") from None
+            subprocess.run(self.command, env=environment, capture_output=True, text=True, timeout=COMMAND_S, check=True)
+        except (OSError, subprocess.SubprocessError) as error:
+            cause: object = error
+            if isinstance(error, subprocess.CalledProcessError):
+                cause = (error.stderr or error.stdout).strip() or f"exit code {error.returncode}"
+            raise StepError(f"{' '.join(self.command)}: {cause}; correct it, then install again") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +133,8 @@ class Keep(Step):
     path: Path
     why: str
 
-    @property
-    def summary(self) -> str:
-        """Return the step in one line."""
+    def __str__(self) -> str:
         return f"keep {self.path}: {self.why}"
 
     def carry_out(self) -> None:
         """Do nothing with the path."""
-
-
-_ROOT = "root is required (or --root FOLDER)"

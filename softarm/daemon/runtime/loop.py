@@ -15,7 +15,7 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
-from softarm.daemon.runtime.service import Watchdog
+from softarm.daemon.runtime.service import Notifier
 from softarm.daemon.runtime.wakeup import PunctualSelector
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.tick import Controller
@@ -42,7 +42,7 @@ class ControlLoop:
         devices: Devices,
         inbox: Inbox,
         recorder: Recorder,
-        watchdog: Watchdog,
+        notifier: Notifier,
         latch: LatchKeeper | None = None,
         realtime_priority: int = 0,
     ) -> None:
@@ -50,7 +50,7 @@ class ControlLoop:
         self._devices = devices
         self._inbox = inbox
         self._recorder = recorder
-        self._watchdog = watchdog
+        self._notifier = notifier
         self._latch = latch
         self._priority = realtime_priority
         self._thread = threading.Thread(target=self._main, name="control", daemon=True)
@@ -120,7 +120,7 @@ class ControlLoop:
                 self._recorder.policy(runner.policy.spec)
         self._recorder.tick(inputs, outputs, timing)
         if self._failed is None and not missed:
-            self._watchdog.good_tick(written)
+            self._notifier.good_tick(written)
         following = deadline_ns + (missed + 1) * PERIOD_NS
         if following - time.monotonic_ns() > COLLECT_SLACK_NS:
             self._collections += 1

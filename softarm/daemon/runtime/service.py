@@ -23,12 +23,17 @@ def allow_descriptors(wanted: int = DESCRIPTORS) -> int:
 
 
 class Notifier:
-    """Sender of notifications to systemd that never blocks and never raises."""
+    """Sender of notifications to systemd that never blocks and never raises.
+
+    Good ticks alone send the watchdog's messages, so that a hung loop is restarted.
+    """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
         # A leading @ stands for the NUL byte of Linux's abstract sockets.
         self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._period_ns = _period_ns(environment)
+        self._fed_ns: int | None = None
 
     def send(self, *lines: str) -> None:
         """Send assignments such as READY=1 in one message."""
@@ -46,22 +51,13 @@ class Notifier:
         """Report that the shutdown has begun."""
         self.send("STOPPING=1", "STATUS=stopping")
 
-
-class Watchdog:
-    """Sender of systemd's watchdog messages, driven by good ticks alone so that a hung loop is restarted."""
-
-    def __init__(self, notifier: Notifier, environment: Mapping[str, str] = os.environ) -> None:
-        self._notifier = notifier
-        self._period_ns = _period_ns(environment)
-        self._fed_ns: int | None = None
-
     def good_tick(self, now_ns: int) -> None:
         """Report a good tick; send a message at most once per half watchdog period."""
         if self._period_ns is None:
             return
         if self._fed_ns is None or now_ns - self._fed_ns >= self._period_ns // 2:
             self._fed_ns = now_ns
-            self._notifier.send("WATCHDOG=1")
+            self.send("WATCHDOG=1")
 
 
 def _period_ns(environment: Mapping[str, str]) -> int | None:

@@ -22,7 +22,7 @@ from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.daemon.runtime.loop import ControlLoop
-from softarm.daemon.runtime.service import Notifier, Watchdog
+from softarm.daemon.runtime.service import Notifier
 from softarm.daemon.tick import Controller
 from softarm.policies.hold import Hold
 from softarm.policies.runner import InlineRunner
@@ -289,9 +289,7 @@ def test_a_policy_is_loaded_and_warmed_up_outside_the_loop(loop, app, client_of,
 def test_the_log_notes_every_change_of_policy_once(tmp_path, client_of, shelf):
     config = Config(recorder={"directory": tmp_path})
     recorder, inbox = Recorder(config, Hold.spec), Inbox()
-    loop = ControlLoop(
-        Controller(config, InlineRunner(Hold())), simulated_devices(), inbox, recorder, Watchdog(Notifier())
-    )
+    loop = ControlLoop(Controller(config, InlineRunner(Hold())), simulated_devices(), inbox, recorder, Notifier())
     context = ApiContext(config, inbox, lambda: loop.snapshot, recorder=recorder, policies=shelf)
     client = client_of(create_app(context))
     recorder.start()

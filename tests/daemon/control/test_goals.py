@@ -126,17 +126,16 @@ def test_without_a_goal_no_result_changes():
     goals = GoalTracker(Goals())
     before = goals.status
     goals.update([(0.0, 0.5)], SECOND)
-    goals.fail("nothing to fail")
-    goals.cancel("nothing to cancel")
+    goals.end("failed", "nothing to fail")
     assert goals.status == before
 
 
-@pytest.mark.parametrize(("end", "state"), [("fail", "failed"), ("cancel", "cancelled")])
-def test_an_ended_goal_keeps_state_reason_and_time(end, state):
+@pytest.mark.parametrize("state", ["failed", "cancelled"])
+def test_an_ended_goal_keeps_state_reason_and_time(state):
     goals = GoalTracker(Goals())
     goals.start(Goal("reach", 0.0, 0.6))
     flown(goals, 4)
-    getattr(goals, end)("because")
+    goals.end(state, "because")
     assert (goals.status.state, goals.status.reason) == (state, "because")
     assert goals.running is None
     goals.update([(0.0, 0.6)], SECOND)
@@ -148,6 +147,5 @@ def test_failing_and_cancelling_leave_an_ended_goal_alone():
     goals = GoalTracker(Goals())
     goals.start(Goal("reach", 0.0, 0.6))
     goals.update([(0.0, 0.6)], 0)
-    goals.fail("too late")
-    goals.cancel("too late")
+    goals.end("failed", "too late")
     assert goals.status.state == "reached"

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from softarm.daemon.runtime.service import Notifier, Watchdog, allow_descriptors
+from softarm.daemon.runtime.service import Notifier, allow_descriptors
 
 S = 1_000_000_000
 
@@ -36,14 +36,14 @@ def test_ready_status_and_stopping_arrive_as_single_messages(manager):
 def test_only_good_ticks_feed_the_watchdog_twice_per_period(manager):
     receiver, environment = manager
     environment |= {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}
-    watchdog = Watchdog(Notifier(environment), environment)
+    notifier = Notifier(environment)
     receiver.settimeout(0)
     with pytest.raises(BlockingIOError):
         receiver.recv(100)  # nothing without a tick
     ticks = [round(k * S / 30) for k in range(90)]
     fed = []
     for now in ticks:
-        watchdog.good_tick(now)
+        notifier.good_tick(now)
         try:
             assert receiver.recv(100) == b"WATCHDOG=1"
         except BlockingIOError:
@@ -66,7 +66,7 @@ def test_only_good_ticks_feed_the_watchdog_twice_per_period(manager):
 )
 def test_without_a_watchdog_period_nothing_is_sent(manager, environment):
     receiver, ours = manager
-    Watchdog(Notifier(ours), environment).good_tick(0)
+    Notifier(ours | environment).good_tick(0)
     receiver.settimeout(0)
     with pytest.raises(BlockingIOError):
         receiver.recv(100)
@@ -74,9 +74,9 @@ def test_without_a_watchdog_period_nothing_is_sent(manager, environment):
 
 @pytest.mark.parametrize("address", ["", "/nowhere/notify", "@no-listener", "/" + "x" * 300])
 def test_the_notifier_never_raises(address):
-    notifier = Notifier({"NOTIFY_SOCKET": address} if address else {})
+    notifier = Notifier({"WATCHDOG_USEC": "1000"} | ({"NOTIFY_SOCKET": address} if address else {}))
     notifier.ready("up")
-    Watchdog(notifier, {"WATCHDOG_USEC": "1000"}).good_tick(0)
+    notifier.good_tick(0)
 
 
 def test_the_notifier_never_blocks(tmp_path):

@@ -34,7 +34,8 @@ CHUNK_BYTES = 131_072
 OPEN = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # neither follow a link nor block on a pipe
 REPLAY_S = 300.0
 POLL_S = 0.5  # between checks whether the client of a replay is still connected
-LOG, REPORT = (re.compile(rf"[^/\x00-\x1f\x7f.][^/\x00-\x1f\x7f]*\.{kind}") for kind in ("mcap", "html"))
+NAME = r"[^/\x00-\x1f\x7f.][^/\x00-\x1f\x7f]*"
+NAMES = {"log": re.compile(rf"{NAME}\.mcap"), "report": re.compile(rf"{NAME}\.html")}
 # A report contains scripts. The sandbox gives it no origin, so its requests carry no cookie and get no answer.
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -79,13 +80,13 @@ class Files:
 
     async def log(self, name: str) -> Response:
         """Download a log. Of the log being recorded, download what is written so far."""
-        file, size = await self._open(_path(self._logs, name, LOG, "log", "logs"))
+        file, size = await self._open(_path(self._logs, name, "log"))
         saved = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
         return self._download(file, size, "application/octet-stream", saved)
 
     async def delete_log(self, request: Request, name: str) -> Response:
         """Delete a log. The log being recorded cannot be deleted."""
-        path = _path(self._logs, name, LOG, "log", "logs")
+        path = _path(self._logs, name, "log")
         await self._working.run("deleting a log", partial(_delete, path))
         if self._recorder is not None:
             self._recorder.done("delete_log", f"delete log {name}", request.scope[WHO])
@@ -93,7 +94,7 @@ class Files:
 
     async def replay_log(self, request: Request, name: str) -> Response:
         """Replay a log in a separate process and compare all commands bit for bit. Takes up to five minutes."""
-        path = _path(self._logs, name, LOG, "log", "logs")
+        path = _path(self._logs, name, "log")
         replay = replay_process.Replay(path, REPLAY_S)
         waiting = asyncio.create_task(self._replaying.run("replaying a log", partial(_replayed, replay)))
         try:
@@ -114,7 +115,7 @@ class Files:
         """Download the incident file of an emergency stop, a zip."""
         content = await self._working.run("reading an incident file", lambda: incidents.content(self._logs, name))
         if content is None:
-            raise _missing(name, "incident file", "incidents")
+            raise _missing(name, "incident file")
         saved = {"Content-Disposition": f'attachment; filename="{name}"'}
         return Response(content, media_type="application/zip", headers=saved)
 
@@ -125,7 +126,7 @@ class Files:
 
     async def report(self, name: str) -> Response:
         """Return a report as a sandboxed page, which can load nothing else."""
-        file, size = await self._open(_path(self._reports, name, REPORT, "report", "reports"))
+        file, size = await self._open(_path(self._reports, name, "report"))
         return self._download(file, size, "text/html; charset=utf-8", {"Content-Security-Policy": SANDBOX})
 
     async def _open(self, path: Path) -> tuple[BinaryIO, int]:
@@ -166,15 +167,15 @@ class _Sent(StreamingResponse):
             self._file.close()
 
 
-def _path(directory: Path, name: str, allowed: re.Pattern[str], kind: str, listed: str) -> Path:
+def _path(directory: Path, name: str, kind: str) -> Path:
     """Return the path of a file in the directory itself. Raises Refused for any other name."""
-    if not allowed.fullmatch(name):
-        raise _missing(name, kind, listed)
+    if not NAMES[kind].fullmatch(name):
+        raise _missing(name, kind)
     return directory / name
 
 
-def _missing(name: str, kind: str, listed: str) -> Refused:
-    return Refused(404, f"no {kind} '{name[:60]}'; GET /api/{listed} lists them")
+def _missing(name: str, kind: str) -> Refused:
+    return Refused(404, f"no {kind} '{name[:60]}'; GET /api/{kind.partition(' ')[0]}s lists them")
 
 
 def _opened(path: Path) -> tuple[BinaryIO, int]:
@@ -183,13 +184,13 @@ def _opened(path: Path) -> tuple[BinaryIO, int]:
     try:
         descriptor = os.open(path, OPEN)
     except (FileNotFoundError, IsADirectoryError):
-        raise _missing(path.name, kind, f"{kind}s") from None
+        raise _missing(path.name, kind) from None
     except OSError as error:
         raise Refused(409, f"{path}: cannot be read ({error.strerror}); check its owner and mode") from error
     state = os.fstat(descriptor)
     if not stat.S_ISREG(state.st_mode):
         os.close(descriptor)
-        raise _missing(path.name, kind, f"{kind}s")
+        raise _missing(path.name, kind)
     return os.fdopen(descriptor, "rb"), state.st_size
 
 
@@ -222,7 +223,7 @@ def _reports(directory: Path) -> tuple[ReportEntry, ...]:
     for path in directory.glob("*.html"):
         with contextlib.suppress(OSError):  # deleted meanwhile
             state = path.stat()
-            if REPORT.fullmatch(path.name) and stat.S_ISREG(state.st_mode):
+            if NAMES["report"].fullmatch(path.name) and stat.S_ISREG(state.st_mode):
                 modified = datetime.fromtimestamp(state.st_mtime, UTC)
                 entries.append(ReportEntry(name=path.name, bytes=state.st_size, modified=modified))
     return tuple(sorted(entries, key=lambda entry: (entry.modified, entry.name), reverse=True))

@@ -22,6 +22,7 @@ from softarm.schemas.rest import PoliciesAnswer, PolicyAnswer, PolicyBody
 
 LISTINGS_MAX, LISTING_S = 8, 30.0
 LOADS_MAX, LOADING_S = 2, 120.0
+OF_SPEC = ("needs_target", "episode_steps", "trained", "sha256", "shelf_depth_m")
 EXAMPLES: dict[str, Example] = {"reach": {"value": {"name": "reach"}}}
 
 
@@ -92,17 +93,5 @@ class PolicyEndpoints:
 
 def policy_answer(entry: PolicyEntry) -> PolicyAnswer:
     """Return a policy's entry in the answer of GET /api/policies."""
-    spec = entry.spec
-    if spec is None:
-        return PolicyAnswer(name=entry.name, plugin=entry.plugin, description=entry.description, error=entry.error)
-    return PolicyAnswer(
-        name=entry.name,
-        plugin=entry.plugin,
-        description=spec.description,
-        error=entry.error,
-        needs_target=spec.needs_target,
-        episode_steps=spec.episode_steps,
-        trained=spec.trained,
-        sha256=spec.sha256,
-        shelf_depth_m=spec.shelf_depth_m,
-    )
+    known = {} if entry.spec is None else {name: getattr(entry.spec, name) for name in OF_SPEC}
+    return PolicyAnswer(name=entry.name, plugin=entry.plugin, description=entry.description, error=entry.error, **known)
