@@ -90,6 +90,7 @@ def test_with_a_token_every_request_needs_it(loop, tokens, app, client_of):
 
 
 ROLES = {"stop_token_file": "s" * 32, "view_token_file": "v" * 32, "token_file": TOKEN}
+NAMED = {"stop_token_file": "stop", "view_token_file": "view", "token_file": "command"}
 MAY = {  # the least of them that may
     ("GET", "/api/status"): "view_token_file",
     ("HEAD", "/api/status"): "view_token_file",
@@ -108,6 +109,8 @@ MAY = {  # the least of them that may
     ("POST", "/api/goal"): "token_file",
     ("DELETE", "/api/goal"): "token_file",
     ("PUT", "/api/policy"): "token_file",
+    ("DELETE", "/api/logs/flight.mcap"): "token_file",
+    ("POST", "/api/logs/flight.mcap/replay"): "token_file",
     ("OPTIONS", "/api/status"): "token_file",
     ("BREW", "/api/status"): "token_file",
 }
@@ -127,6 +130,7 @@ def test_each_role_includes_the_lower_ones_only(loop, roles, app, client_of, key
         assert (answer.status_code not in (401, 403)) is allowed, asked
         if not allowed and asked[0] != "HEAD":
             assert f"use the token of api.{least}" in answer.json()["detail"], asked
+    assert {post.request.who for post in loop.taken} == {f"the API ({NAMED[key]} token)"}
 
 
 def test_the_stream_needs_the_view_role(loop, roles, app, serving):

@@ -13,8 +13,6 @@ from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
 from tests.processes import until
 
-TOKEN, VIEW = "0123456789abcdef0123456789abcdef", "v" * 32
-
 
 @pytest.fixture
 def recorded(loop, app, client_of):
@@ -64,17 +62,6 @@ def test_an_invalid_number_is_refused_with_the_allowed_range(recorded, query, se
     answer = recorded.get(f"/api/events?{query}")
     assert answer.status_code == 422
     assert answer.json()["detail"].startswith(sentence)
-
-
-def test_a_request_has_its_source(loop, app, client_of, tokens):
-    config = Config(api={"host": "0.0.0.0"} | tokens(token_file=TOKEN, view_token_file=VIEW))
-    client = client_of(app(loop, config), "http://robot.example")
-    client.post("/api/arm", headers={"Authorization": f"Bearer {TOKEN}"})
-    client.post("/api/stop", headers={"Authorization": f"Bearer {VIEW}"})
-    assert [post.request.who for post in loop.taken] == [
-        "the API (command token)",
-        "the API (view token)",
-    ]
 
 
 @pytest.mark.slow

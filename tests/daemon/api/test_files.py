@@ -185,17 +185,6 @@ def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
     assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 200
 
 
-def test_deletion_and_replay_need_the_command_token(loop, app, client_of, config, folder, tokens):
-    api = config.api.model_copy(update=tokens(token_file="c" * 32, view_token_file="v" * 32))
-    client = client_of(app(loop, config.model_copy(update={"api": api})))
-    view = {"Authorization": "Bearer " + "v" * 32}
-    assert client.get("/api/logs/flight.mcap").status_code == 401
-    assert client.get("/api/logs/flight.mcap", headers=view).status_code == 200
-    assert client.request("DELETE", "/api/logs/flight.mcap", headers=view).status_code == 403
-    assert client.post("/api/logs/flight.mcap/replay", headers=view).status_code == 403
-    assert (folder / "flight.mcap").exists()
-
-
 @pytest.mark.slow
 def test_a_replay_answers_as_the_command_line_does(client, folder):
     shutil.copy(FLIGHT, folder / "real.mcap")
