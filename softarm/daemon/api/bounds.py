@@ -26,8 +26,8 @@ VERSION = (API_HEADER.encode(), b"%d" % API_VERSION)
 # Keys in the ASGI scope: the client as the event history names it, and the role of a logged-in browser.
 WHO, SESSION = "softarm.who", "softarm.session"
 LOGIN, PAGES = "/api/login", "/dashboard/"
-# POST requests that do not affect the robot.
-HARMLESS = {("POST", "/api/logout"): Role.STOP, ("POST", "/api/ticket"): Role.VIEW}
+# Changes that need less than the command role: a stop, and what does not affect the robot.
+ROLES = {("POST", STOP): Role.STOP, ("POST", "/api/logout"): Role.STOP, ("POST", "/api/ticket"): Role.VIEW}
 CLOSE = {"Connection": "close"}  # the rest of a refused body is not read
 
 
@@ -73,7 +73,8 @@ class Guard:
     def _session(self, scope: Scope, headers: Mapping[bytes, bytes]) -> Role | None:
         """Return the role of a logged-in browser: by cookie, or by ticket for a stream, which any page could open."""
         if scope["type"] == "websocket":
-            return self._sessions.tickets.revoke(_ticket(scope))
+            query: bytes = scope["query_string"]
+            return self._sessions.tickets.revoke(parse_qs(query.decode("latin-1")).get("ticket", [""])[0])
         return self._sessions.logins.role(self._sessions.of(headers))
 
     def _forged(self, scope: Scope, headers: Mapping[bytes, bytes], session: Role | None) -> tuple[int, str] | None:
@@ -88,11 +89,6 @@ class Guard:
             f"a page of {page[:60]!r} sent the request with a cookie; allowed are pages of this API: open the "
             "dashboard at the daemon's own address, or set api.public_origin to the proxy's"
         )
-
-
-def _ticket(scope: Scope) -> str:
-    query: bytes = scope["query_string"]
-    return parse_qs(query.decode("latin-1")).get("ticket", [""])[0]
 
 
 def _versioned(send: Send) -> Send:
@@ -117,19 +113,14 @@ def _too_new(version: bytes | None) -> tuple[int, str] | None:
 
 def _role(scope: Scope) -> Role | None:
     """Return the role that a request requires; None for the log-in and the dashboard's files."""
-    if scope["path"] == LOGIN and scope["type"] == "http" and scope["method"] in ("GET", "POST"):
-        return None
-    if scope["type"] == "http" and scope["method"] == "GET" and _is_page(scope["path"]):
-        return None
-    if scope["type"] == "http" and (scope["method"], scope["path"]) in HARMLESS:
-        return HARMLESS[scope["method"], scope["path"]]
-    if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
+    if scope["type"] == "websocket":
         return Role.VIEW
-    return Role.STOP if (scope["method"], scope["path"]) == ("POST", STOP) else Role.COMMAND
-
-
-def _is_page(path: str) -> bool:
-    return path == "/" or path.startswith(PAGES)
+    method, path = scope["method"], scope["path"]
+    if path == LOGIN and method in ("GET", "POST"):
+        return None
+    if method == "GET" and (path == "/" or path.startswith(PAGES)):
+        return None
+    return ROLES.get((method, path), Role.VIEW if method in ("GET", "HEAD") else Role.COMMAND)
 
 
 def _too_long(length: bytes) -> tuple[int, str] | None:

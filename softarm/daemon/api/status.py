@@ -12,7 +12,6 @@ from softarm import __version__
 from softarm.daemon.control.failsafe import ACKNOWLEDGE
 from softarm.daemon.control.records import EStop, Outputs, Problems
 from softarm.daemon.logbook.history import utc
-from softarm.policies.base import PolicySpec
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.messages import MocapFrame
 from softarm.schemas.policy import TrainingRange
@@ -132,7 +131,8 @@ class StatusView:
             "bodies": _bodies(frame),
             "ages_ms": _ages(outputs, frame),
             "problems": self._context.problems(),
-            "policy_info": _policy_info(spec) if spec else None,
+            "policy_info": spec
+            and PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256, spec.shelf_depth_m),
             "recorder": _recorder_info(recorder),
             "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
             "version": __version__,
@@ -177,10 +177,6 @@ def _recorder_info(recorder: "Recorder | None") -> RecorderInfo:
     if recorder is None:
         return RecorderInfo(None, 0, None)
     return RecorderInfo(str(recorder.path) if recorder.path else None, recorder.dropped, recorder.problem)
-
-
-def _policy_info(spec: PolicySpec) -> PolicyInfo:
-    return PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256, spec.shelf_depth_m)
 
 
 def _ages(outputs: Outputs, frame: MocapFrame | None) -> Ages:
