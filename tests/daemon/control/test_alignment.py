@@ -43,28 +43,19 @@ def test_the_delay_is_found_within_a_few_milliseconds_and_a_second(late_ms):
 
 
 @pytest.mark.parametrize("late_ms", [0, 46, 140])
-def test_latency_never_counts_as_a_distance(late_ms):
+def test_latency_is_neither_a_distance_nor_a_mirror_and_hides_none(late_ms):
     assert max(apart_m for _, apart_m in flown(late_ms) if apart_m is not None) < 0.012
-
-
-@pytest.mark.parametrize("late_ms", [0, 46, 140])
-def test_a_shifted_frame_is_found_at_any_latency(late_ms):
-    apart_m = [apart_m for _, apart_m in flown(late_ms, offset_m=0.05)]
-    assert max(apart_m[25:]) > 0.04
+    assert not any(each.mirrored for each, _ in flown(late_ms))
+    assert max([apart_m for _, apart_m in flown(late_ms, offset_m=0.05)][25:]) > 0.04
+    mirrored = [each.mirrored for each, _ in flown(late_ms, sense=-1.0)]
+    assert mirrored.index(True) < 15
+    assert all(mirrored[mirrored.index(True) :])
 
 
 def test_an_axis_that_slips_in_mid_flight_is_found():
     found = list(flown(46, axis_slips_at=30))
     assert max(apart_m for _, apart_m in found[:30] if apart_m is not None) < 0.012
     assert min(apart_m for _, apart_m in found[36:]) > 0.03
-
-
-@pytest.mark.parametrize("late_ms", [0, 46, 140])
-def test_a_mirrored_frame_is_found_within_a_few_ticks_of_moving(late_ms):
-    mirrored = [each.mirrored for each, _ in flown(late_ms, sense=-1.0)]
-    assert mirrored.index(True) < 15
-    assert all(mirrored[mirrored.index(True) :])
-    assert not any(each.mirrored for each, _ in flown(late_ms))
 
 
 def test_a_cart_at_rest_shows_no_latency():
@@ -178,11 +169,6 @@ def test_the_distance_allows_ten_milliseconds_around_the_delay():
     assert apart_m == pytest.approx(0.005)
 
 
-def test_the_distance_allows_every_delay_before_the_delay_is_known():
-    assert one_step([], 0.05)[1] == 0.05
-    assert one_step([0.0, 0.0, 0.04, 0.03], 0.05)[1] == pytest.approx(0.01)
-
-
 def test_a_gap_in_the_frames_shows_no_latency():
     alignment = Alignment()
     for t_ms in range(0, 200, 10):
@@ -192,11 +178,6 @@ def test_a_gap_in_the_frames_shows_no_latency():
     alignment.axis.add(320 * MS, 0.06)
     assert alignment.update(320 * MS, 0.06) == 0.0
     assert alignment.lag_ns is None
-
-
-@pytest.mark.parametrize(("shown_m", "mirrored"), [(-0.0221, False), (-0.0226, True)])
-def test_a_mirrored_frame_is_reported_from_a_step_of_22_mm(shown_m, mirrored):
-    assert one_step([-shown_m], shown_m)[0].mirrored is mirrored
 
 
 @pytest.mark.parametrize(

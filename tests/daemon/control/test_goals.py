@@ -21,22 +21,13 @@ def test_a_goal_is_reached_within_its_radius():
     assert goals.running is None
 
 
-def test_a_tip_that_passes_the_target_between_ticks_reaches_it():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("reach", -0.2, 0.6))
-    goals.update([(0.0, 0.52)], 0)
-    goals.update([(-0.1, 0.6), (-0.21, 0.6), (-0.3, 0.6)], SECOND)
-    assert goals.status.state == "reached"
-    assert goals.status.closest_m == pytest.approx(0.01)
-
-
-def test_a_goal_reached_at_the_time_limit_is_reached():
+def test_a_tip_that_passes_the_target_before_the_last_tick_reaches_it():
     goals = GoalTracker(Goals(time_limit_s=2.0))
     goals.start(Goal("reach", -0.2, 0.6))
     goals.update([(0.0, 0.52)], 0)
-    goals.update([(-0.18, 0.6), (-0.2, 0.6)], 2 * SECOND)
+    goals.update([(-0.1, 0.6), (-0.21, 0.6), (-0.3, 0.6)], 2 * SECOND)
     assert (goals.status.state, goals.status.reason) == ("reached", None)
-    assert goals.status.closest_m == pytest.approx(0.02)
+    assert goals.status.closest_m == pytest.approx(0.01)
 
 
 def test_tip_positions_before_the_goal_do_not_count():
@@ -98,12 +89,6 @@ def flown(goals, ticks, tip=(0.0, 0.5), start=0):
     return states
 
 
-def test_the_time_limit_ends_in_its_exact_tick():
-    goals = GoalTracker(Goals(time_limit_s=10 / 30))
-    goals.start(Goal("reach", 0.0, 0.6))
-    assert flown(goals, 11) == ["running"] * 10 + ["failed"]
-
-
 @pytest.mark.parametrize("goal", [Goal("reach", 0.0, 0.6), Goal("hold")])
 def test_the_end_of_the_policys_episode_reaches_no_target_and_ends_no_hold(goal):
     goals = GoalTracker(Goals(time_limit_s=100))
@@ -139,13 +124,6 @@ def test_an_ended_goal_keeps_state_reason_and_time(state):
     assert (goals.status.state, goals.status.reason) == (state, "because")
     assert goals.running is None
     goals.update([(0.0, 0.6)], SECOND)
-    assert goals.status.state == state
-    assert goals.status.time_s == pytest.approx(0.1)
-
-
-def test_failing_and_cancelling_leave_an_ended_goal_alone():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("reach", 0.0, 0.6))
-    goals.update([(0.0, 0.6)], 0)
     goals.end("failed", "too late")
-    assert goals.status.state == "reached"
+    assert (goals.status.state, goals.status.reason) == (state, "because")
+    assert goals.status.time_s == pytest.approx(0.1)
