@@ -47,12 +47,9 @@ def test_the_twin_file_differs_from_the_example_in_addresses_only():
     assert twin["drivers"]["rail"]["port"] == 15020
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "limits:\n", "limits:\n  rail:\npolicies:\n"])
+@pytest.mark.parametrize("text", ["", "# nothing\n", "limits:\n", "limits:\n  rail:\n"])
 def test_missing_keys_have_their_defaults(write, text):
-    if "policies" in text:
-        assert problems(write(text))[0].startswith("arm.yaml:3: policies: is null; allowed a group of names")
-    else:
-        assert load(write(text)) == Config()
+    assert load(write(text)) == Config()
 
 
 def test_values_are_read_with_their_lines(write):
@@ -73,52 +70,32 @@ def test_values_are_read_with_their_lines(write):
 
 
 def test_all_mistakes_are_reported_in_the_files_order(write):
+    """`tests/common/test_yaml_schema.py` tests the sentence of each kind."""
     path = write("""\
         limits:
           rail:
             position_max_m: 250
-            velocity_max_m_s: "1.0"
             latency_s: 33 ms
             max_kpa: 3
-            acceleration_max: 5
-            margin_m: yes
           pressure:
             min_kpa: .nan
-        control:
-          rate_hz: 60
         goals: 3
         policies:
           mine:
             options: {kp: [1]}
         api:
-          port: 8080.5
           port: 8080
-        apis: 3
+          port: 8080
         """)
-    assert problems(path) == [
-        "arm.yaml:3: limits.rail.position_max_m: is 250; allowed -0.3 to 0.3 m; if you meant 250 mm, write 0.25",
-        "arm.yaml:4: limits.rail.velocity_max_m_s: is '1.0'; allowed above 0, at most 1 m/s; "
-        "write a bare number in m/s: 1",
-        "arm.yaml:5: limits.rail.latency_s: is '33 ms'; allowed 0 to 0.2 s; write a bare number in s: 0.033",
-        "arm.yaml:6: limits.rail.max_kpa: unknown key here; move it to limits.pressure.max_kpa "
-        "(allowed above 0, at most 20 kPa; default 20)",
-        "arm.yaml:7: limits.rail.acceleration_max: unknown key; did you mean acceleration_max_m_s2? "
-        "(allowed above 0, at most 20 m/s^2; default 6)",
-        "arm.yaml:8: limits.rail.margin_m: is true; allowed 0 to 0.1 m; "
-        f"change it, or remove the line for the default {Config().limits.rail.margin_m:g}",
-        "arm.yaml:10: limits.pressure.min_kpa: is nan; allowed -0.7 to 0 kPa; "
-        "change it, or remove the line for the default -0.7",
-        "arm.yaml:12: control.rate_hz: is 60; allowed 30; change it, or remove the line for the default 30",
-        "arm.yaml:13: goals: is 3; allowed a group with the keys workspace, success_radius_m, time_limit_s; change it",
-        "arm.yaml:15: policies.mine: plugin is missing; allowed a text; add it",
-        "arm.yaml:16: policies.mine.options.kp: is a list; "
-        "allowed a text or a number or a whole number or true or false; change it",
-        "arm.yaml:18: api.port: is 8080.5; allowed 0 to 65535, a whole number; "
-        "change it, or remove the line for the default 8080",
-        "arm.yaml:19: api.port: is given twice (first in line 18); keep one",
-        "arm.yaml:20: apis: unknown key; did you mean api? "
-        "(allowed a group with the keys host, port, stop_port, token_file, view_token_file, stop_token_file, "
-        "public_origin, reports)",
+    assert [problem.split(": ")[:2] for problem in problems(path)] == [
+        ["arm.yaml:3", "limits.rail.position_max_m"],
+        ["arm.yaml:4", "limits.rail.latency_s"],
+        ["arm.yaml:5", "limits.rail.max_kpa"],
+        ["arm.yaml:7", "limits.pressure.min_kpa"],
+        ["arm.yaml:8", "goals"],
+        ["arm.yaml:10", "policies.mine"],
+        ["arm.yaml:11", "policies.mine.options.kp"],
+        ["arm.yaml:14", "api.port"],
     ]
 
 
@@ -139,19 +116,11 @@ def test_all_mistakes_are_reported_in_the_files_order(write):
             "goals: {workspace: {z_min_m: 0.9}}",
             "1: goals.workspace: y_min_m must lie below y_max_m, and z_min_m below z_max_m: swap or widen them",
         ),
-        (
-            "zzz: 1",
-            "1: zzz: unknown key; remove it, or use one of "
-            "limits, failsafe, control, goals, policies, drivers, api, recorder",
-        ),
-        (
-            "- 1",
-            "1: must hold keys; allowed: limits, failsafe, control, goals, policies, drivers, api, recorder",
-        ),
+        ("limits:\n  rail:\npolicies:\n", "3: policies: is null; allowed a group of names"),
     ],
 )
 def test_each_mistake_has_its_message(write, text, said):
-    assert f"arm.yaml:{said}" in problems(write(text))
+    assert any(problem.startswith(f"arm.yaml:{said}") for problem in problems(write(text)))
 
 
 def test_an_unreadable_file_is_named_with_the_next_step(tmp_path):

@@ -213,45 +213,38 @@ def test_the_file_is_the_robots_whatever_else_is_configured(tmp_path):
     assert str(service) == "/var/lib/softarm/stop-fe80__1-502.json"
 
 
-class Killed:
-    """Run daemons of one missing robot, each ended by kill -9."""
-
-    def __init__(self, folder):
-        settings = {
-            "api": {"port": 0},
-            "drivers": {
-                "mocap": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
-                "regulator": {"port": str(folder / "none")},
-                "rail": {"host": "127.0.0.1", "port": 1},
-            },
-            "control": {"policy": "hold"},
-            "recorder": {"directory": str(folder / "logs")},
-        }
-        self.config = folder / "arm.yaml"
-        self.config.write_text(yaml.safe_dump(settings))
-
-    @contextmanager
-    def running(self):
-        """Start another daemon; yield its client, its stop address and its first line."""
-        with running("run", "--config", self.config) as process:
-            first = said(process, "(.*serving .*)")
-            stop_url = said(process, r"POST (http://\S+)")
-            with httpx.Client(base_url=re.search(r"serving (\S+)", first)[1], timeout=10.0) as client:
-                until(lambda: client.get("/api/status").status_code == 200)
-                yield client, stop_url, first
+@contextmanager
+def daemon(folder):
+    """Run a daemon of a missing robot and kill it; yield its client, its stop address and its first line."""
+    settings = {
+        "api": {"port": 0},
+        "drivers": {
+            "mocap": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
+            "regulator": {"port": str(folder / "none")},
+            "rail": {"host": "127.0.0.1", "port": 1},
+        },
+        "control": {"policy": "hold"},
+        "recorder": {"directory": str(folder / "logs")},
+    }
+    (folder / "arm.yaml").write_text(yaml.safe_dump(settings))
+    with running("run", "--config", folder / "arm.yaml") as process:
+        first = said(process, "(.*serving .*)")
+        stop_url = said(process, r"POST (http://\S+)")
+        with httpx.Client(base_url=re.search(r"serving (\S+)", first)[1], timeout=10.0) as client:
+            until(lambda: client.get("/api/status").status_code == 200)
+            yield client, stop_url, first
 
 
 # Over 3 s: two daemons, one after the other.
 @pytest.mark.slow
 def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_path):
-    robot = Killed(tmp_path)
     file = tmp_path / "logs" / "stop-127.0.0.1-1.json"
-    with robot.running() as (client, stop_url, _):
+    with daemon(tmp_path) as (client, stop_url, _):
         assert client.get("/api/status").json()["estop"] == "clear"
         assert httpx.post(stop_url).json()["stopped"] is True
         stopped_at = datetime.fromisoformat(client.get("/api/status").json()["last_stop_at"])
         until(lambda: killed(file) is not None)
-    with robot.running() as (client, _, first):
+    with daemon(tmp_path) as (client, _, first):
         status = client.get("/api/status").json()
         assert (status["mode"], status["estop"]) == ("stopped", "latched")
         assert status["last_stop"].startswith("an emergency stop was requested")
