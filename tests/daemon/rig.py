@@ -32,6 +32,23 @@ class Steady:
         return self.action
 
 
+class BangBang:
+    """Policy with the hardest possible commands, which change at random."""
+
+    spec = PolicySpec("bang-bang", "as hard as commands go")
+
+    def __init__(self, seed):
+        self._rng, self._action = np.random.default_rng(seed), np.zeros(2, dtype=np.float32)
+
+    def reset(self):
+        pass
+
+    def step(self, observation, goal):
+        if self._rng.random() < 0.2:
+            self._action = np.array((self._rng.choice((-1.0, 1.0)), self._rng.choice((-0.7, 20.0))), dtype=np.float32)
+        return self._action
+
+
 class Rig:
     """Controller with readings of a robot at rest, any of which a test can change."""
 

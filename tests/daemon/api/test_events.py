@@ -50,16 +50,19 @@ def test_a_new_daemon_has_no_events(client):
 @pytest.mark.parametrize(
     ("query", "sentence"),
     [
-        ("limit=0", "limit: is '0'; allowed a whole number from 1 to 1000"),
-        ("limit=1001", "limit: is '1001'; allowed a whole number from 1 to 1000"),
-        ("since=-1", "since: is '-1'; allowed a whole number from 0 on"),
-        ("since=", "since: is ''; allowed a whole number from 0 on"),
-        ("since=%C2%B2", "since: is '²'; allowed a whole number from 0 on"),
-        ("since=" + "9" * 5000, "since: is '99999999999999999999'; allowed"),
+        ("events?limit=0", "limit: is '0'; allowed a whole number from 1 to 1000"),
+        ("events?limit=1001", "limit: is '1001'; allowed a whole number from 1 to 1000"),
+        ("events?since=-1", "since: is '-1'; allowed a whole number from 0 on"),
+        ("events?since=", "since: is ''; allowed a whole number from 0 on"),
+        ("events?since=%C2%B2", "since: is '²'; allowed a whole number from 0 on"),
+        ("events?since=" + "9" * 5000, "since: is '99999999999999999999'; allowed"),
+        ("recent?seconds=0", "seconds: is '0'; allowed a whole number from 1 to 600"),
+        ("recent?seconds=601", "seconds: is '601'; allowed a whole number from 1 to 600"),
+        ("recent?seconds=1.5", "seconds: is '1.5'; allowed a whole number from 1 to 600"),
     ],
 )
-def test_an_invalid_number_is_refused_with_the_allowed_range(recorded, query, sentence):
-    answer = recorded.get(f"/api/events?{query}")
+def test_an_invalid_number_is_refused_with_the_allowed_range(client, query, sentence):
+    answer = client.get(f"/api/{query}")
     assert answer.status_code == 422
     assert answer.json()["detail"].startswith(sentence)
 

@@ -10,11 +10,11 @@ import pytest
 from softarm.daemon.control.plausibility import FEW, Plausibility, is_usable
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import MocapFrame, Pose
 from softarm.schemas.model import Model
+from tests.daemon.rig import BangBang
 
 FRAME_NS = 8_333_333
 HINGE_M = 0.965
@@ -162,23 +162,6 @@ def test_two_simultaneous_bridges_are_found():
         )
         judge, _ = judged(both)
         assert names(judge) == ["mocap_two_sources"]
-
-
-class BangBang:
-    """Policy with the hardest possible commands."""
-
-    spec = PolicySpec("bang-bang", "as hard as commands go")
-
-    def __init__(self, seed):
-        self._rng, self._action = np.random.default_rng(seed), np.zeros(2, dtype=np.float32)
-
-    def reset(self):
-        pass
-
-    def step(self, observation, goal):
-        if self._rng.random() < 0.2:
-            self._action = np.array((self._rng.choice((-1.0, 1.0)), self._rng.choice((-0.7, 20.0))), dtype=np.float32)
-        return self._action
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from softarm.common.braking import CREEP_MAX_M_S, RETURN_SPEED_M_S
 from softarm.daemon.control.safety import SafetyFilter
 from softarm.daemon.runtime.offline import Lockstep
-from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, DryveRail, Limits, PressureLimits, RailLimits
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import SAFE, Command, RailReading
 from softarm.schemas.policy import Observation
+from tests.daemon.rig import BangBang
 
 PERIOD = 1 / 30
 RAIL, PRESSURE = RailLimits(), PressureLimits()
@@ -268,35 +268,27 @@ def test_a_drive_with_a_gentle_ramp_is_not_slewed():
     assert (sent.cart_velocity_m_s, clamps) == (0.5, ())
 
 
-class Adversary:
-    """Policy that pushes the cart beyond the rail, by time or with the arm's swing."""
+class Swinging(BangBang):
+    """Policy that pushes the cart with the arm's swing, or against it."""
 
-    spec = PolicySpec("adversary", "adversarial")
-
-    def __init__(self, kind: str, seed: int) -> None:
-        self._kind = kind
-        self._random = np.random.default_rng(seed)
-        self._action = np.zeros(2, dtype=np.float32)
-
-    def reset(self) -> None:
-        pass
+    def __init__(self, sense: float) -> None:
+        super().__init__(0)
+        self._sense = sense
 
     def step(self, observation, goal):
         swing = float(np.sign(Observation(*observation).tip_vy_m_s))
-        if self._kind == "with_swing":
-            return np.array([swing, 20.0 * (swing < 0)], dtype=np.float32)
-        if self._kind == "against_swing":
-            return np.array([-swing, 20.0 * (swing < 0)], dtype=np.float32)
-        if self._random.random() < 0.2:
-            self._action = np.array([self._random.choice([-1, 1]), self._random.choice([-0.7, 20])], dtype=np.float32)
-        return self._action
+        return np.array([self._sense * swing, 20.0 * (swing < 0)], dtype=np.float32)
 
 
-@pytest.mark.parametrize("kind", ["bang_bang", "with_swing", "against_swing"])
-def test_on_the_simulated_robot_no_policy_passes_the_limits(kind):
+@pytest.mark.parametrize(
+    "policies",
+    [[BangBang(0), BangBang(1), BangBang(2)], [Swinging(1.0)], [Swinging(-1.0)]],
+    ids=["random", "with", "against"],
+)
+def test_on_the_simulated_robot_no_policy_passes_the_limits(policies):
     """The limits hold with the arm's pull, which the filter does not model."""
-    for seed in range(3 if kind == "bang_bang" else 1):
-        flights = Lockstep(Config(), Adversary(kind, seed))
+    for policy in policies:
+        flights = Lockstep(Config(), policy)
         for start in (-0.2, 0.0, 0.2):
             flight = flights.fly(Goal("reach", 0.59, 0.51), start)
             assert flight.status.state == "failed"  # out of time, not stopped by the failsafe

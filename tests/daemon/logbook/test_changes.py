@@ -48,10 +48,6 @@ def texts(entries):
     return [entry.text for entry in entries]
 
 
-def test_an_unchanged_robot_has_no_entries(run):
-    assert run.ticks(3) == []
-
-
 def test_a_request_is_recorded_with_source_and_result(run):
     who = "the API (command token, 10.0.0.7)"
     (entry,) = run.tick(Request(4, "arm", who=who), refused=("the drive is off: switch it on",))
