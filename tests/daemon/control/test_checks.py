@@ -190,26 +190,31 @@ def test_motion_capture_is_stale_from_its_limit_on():
     }
 
 
-def test_a_dropout_is_bridged_and_reported_with_its_error():
-    def tick(number: int, *, dropout: bool = False) -> Inputs:
-        now = number * 33_333_333
-        bodies = (Pose(0.0, 0.965, 0.0), *HANGING[1:-1], Pose(1e-5 * (number % 2), 0.52, 0.0))
-        frames = () if dropout else (MocapFrame(number, now - 8 * MS, now, bodies),)
-        pressure, rail = replace(PRESSURE, t_receive_ns=now), replace(RAIL, t_receive_ns=now)
-        said = Problems(mocap="silent" if dropout else None)
-        return replace(HEALTHY, t_ns=now, mocap=frames, pressure=pressure, rail=rail, problems=said)
+def tick(number: int, *, place_m: float = 0.0, axis_m: float = 0.0, speed_m_s: float = 0.0, **changes) -> Inputs:
+    """Return a tick with one frame of a hanging arm, whose cart the axis may read elsewhere."""
+    now = NOW + number * 33 * MS
+    bodies = tuple(pose._replace(y_m=place_m + 1e-5 * number) for pose in HANGING)
+    fresh = Inputs(
+        t_ns=now,
+        mocap=(MocapFrame(number + 1, now - 8 * MS, now, bodies),),
+        pressure=replace(PRESSURE, t_receive_ns=now),
+        rail=replace(RAIL, t_receive_ns=now, position_m=axis_m, velocity_m_s=speed_m_s),
+    )
+    return replace(fresh, **changes)
 
+
+def test_a_dropout_is_bridged_and_reported_with_its_error():
     seen = [tick(number) for number in range(1, 10)]
-    dropout = [tick(number, dropout=True) for number in range(10, 20)]
-    for ticks, reported_ms in ((1, 33), (2, 67), (4, 133)):
-        off_mm = TipModel().deviation_m(ticks * 0.033333333) * 1e3
+    dropout = [tick(number, mocap=(), problems=Problems(mocap="silent")) for number in range(10, 20)]
+    for ticks in (1, 2, 4):
+        off_mm = TipModel().deviation_m(ticks * 0.033) * 1e3
         assert raised(*seen, *dropout[:ticks]) == {
-            "mocap_bridged": f"for {reported_ms} ms, tip known to {off_mm:.0f} mm; silent"
+            "mocap_bridged": f"for {ticks * 33} ms, tip known to {off_mm:.0f} mm; silent"
         }
     assert raised(*seen, *dropout[:3], tick(13)) == {}
     late = tick(10).mocap[0]
     late = replace(late, t_capture_ns=late.t_capture_ns - 24 * MS)
-    assert raised(*seen, replace(tick(10), mocap=(late,))) == {}  # carried on as well, but something was seen
+    assert raised(*seen, tick(10, mocap=(late,))) == {}  # carried on as well, but something was seen
     assert raised(*seen, *dropout).keys() == {"mocap_stale"}
 
 
@@ -247,14 +252,11 @@ def test_a_nan_pose_is_reported_if_the_body_is_tracked(place, field, number):
 
 
 def test_motion_capture_that_moves_against_the_axis_is_mirrored():
-    def tick(number: int) -> Inputs:
-        now, cart = number * 33 * MS, 0.15 * math.sin(0.15 * number)
-        bodies = (Pose(-cart, 0.965, 0.0), *HANGING[1:-1], Pose(-cart, 0.52, 1e-5 * number))
-        rail = replace(RAIL, t_receive_ns=now, position_m=cart, velocity_m_s=0.15 * 4.5 * math.cos(0.15 * number))
-        frame = MocapFrame(number, now - 8 * MS, now, bodies)
-        return replace(HEALTHY, t_ns=now, mocap=(frame,), pressure=replace(PRESSURE, t_receive_ns=now), rail=rail)
+    def swung(number: int) -> Inputs:
+        cart_m, speed_m_s = 0.15 * math.sin(0.15 * number), 0.15 * 4.5 * math.cos(0.15 * number)
+        return tick(number, place_m=-cart_m, axis_m=cart_m, speed_m_s=speed_m_s)
 
-    mirrored = raised(*map(tick, range(40)))
+    mirrored = raised(*map(swung, range(40)))
     assert mirrored["mocap_mirrored"] == "the cart moves opposite to the axis"
     assert "rail_disagrees" not in mirrored  # its remedy, homing the axis, would be wrong
 
@@ -288,17 +290,8 @@ def test_the_position_of_an_unhomed_axis_counts_only_while_engaged():
     assert set(raised(*lost)) == {"rail_not_homed", "rail_outside", "rail_disagrees"}
 
 
-def ticks(begin: int, count: int, place_m: float = 0.0, axis_m: float | None = 0.0) -> list[Inputs]:
-    """Return ticks with one frame each; None means no new reading of the axis."""
-    made = []
-    for tick in range(begin, begin + count):
-        now = NOW + tick * 33 * MS
-        bodies = tuple(pose._replace(y_m=place_m + 1e-5 * tick) for pose in HANGING)
-        frame = MocapFrame(tick + 1, now - 8 * MS, now, bodies)
-        rail = RAIL if axis_m is None else replace(RAIL, t_receive_ns=now, position_m=axis_m)
-        pressure = replace(PRESSURE, t_receive_ns=now)
-        made.append(Inputs(t_ns=now, mocap=(frame,), pressure=pressure, rail=rail))
-    return made
+def ticks(begin: int, count: int, **where) -> list[Inputs]:
+    return [tick(number, **where) for number in range(begin, begin + count)]
 
 
 def before_arming(*inputs: Inputs) -> dict[str, str]:
@@ -312,7 +305,7 @@ def test_a_wrong_zero_is_reported_from_the_first_reading():
 
 
 def test_an_axis_that_returns_with_another_zero_is_reported_at_once():
-    before, gone = ticks(0, 12), ticks(12, 40, axis_m=None)
+    before, gone = ticks(0, 12), ticks(12, 40, rail=RAIL)
     assert "rail_disagrees" not in before_arming(*before, *gone)
     for count in range(1, 14):
         back = before_arming(*before, *gone, *ticks(52, count, axis_m=-0.2))
