@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from urllib.parse import urlsplit
@@ -88,21 +87,6 @@ def robot(daemon):
     with made.client:
         made.calm()
         yield made
-
-
-@pytest.fixture
-def round_trip_s():
-    """Return round_trip_s(page), which measures the present load by the longest of three browser round trips."""
-
-    def measure(page) -> float:
-        durations = []
-        for _ in range(3):
-            began = time.monotonic()
-            page.evaluate("() => new Promise(requestAnimationFrame)")
-            durations.append(time.monotonic() - began)
-        return max(durations)
-
-    return measure
 
 
 SIZE = {"width": 1280, "height": 860}
@@ -219,11 +203,11 @@ def page(robot, watched):
 
 @pytest.fixture
 def press():
-    """Return press(page, y_m, z_m), which clicks that point in the drawing."""
-    return lambda page, y_m, z_m, tap=False: _press(page, y_m, z_m, tap)
+    """Return press(page, y_m, z_m, tap=False), which clicks or taps that point in the drawing."""
+    return _press
 
 
-def _press(page, y_m: float, z_m: float, tap: bool) -> None:
+def _press(page, y_m: float, z_m: float, tap: bool = False) -> None:
     where = page.evaluate(
         """([y, z]) => {
           const box = document.querySelector("#drawing svg").getBoundingClientRect();
@@ -236,12 +220,8 @@ def _press(page, y_m: float, z_m: float, tap: bool) -> None:
         }""",
         [y_m, z_m],
     )
-    at = {"x": where[0], "y": where[1]}
     drawing = page.locator("#drawing svg")
-    if tap:
-        drawing.tap(position=at)
-    else:
-        drawing.click(position=at)
+    (drawing.tap if tap else drawing.click)(position={"x": where[0], "y": where[1]})
 
 
 @pytest.fixture(scope="session")
@@ -261,19 +241,3 @@ def asking():
             return robot
 
         yield ask
-
-
-@pytest.fixture
-def threads():
-    """Yield threads(function, number), which runs threads until an event at the end of the test."""
-    over, made = threading.Event(), []
-
-    def start(function: Callable[[threading.Event], None], number: int) -> None:
-        made.extend(threading.Thread(target=function, args=(over,)) for _ in range(number))
-        for thread in made[-number:]:
-            thread.start()
-
-    yield start
-    over.set()
-    for thread in made:
-        thread.join()

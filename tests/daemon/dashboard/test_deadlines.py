@@ -4,6 +4,7 @@ import contextlib
 import re
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
@@ -16,32 +17,48 @@ def age_s(page) -> float:
     return float(re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())[1])
 
 
-def test_the_button_stops_within_two_seconds_under_load(page, robot, daemon, threads, round_trip_s):
-    def flood(over: threading.Event) -> None:
+def round_trip_s(page) -> float:
+    """Return the longest of three round trips of the browser, which shows the present load."""
+    durations = []
+    for _ in range(3):
+        began = time.monotonic()
+        page.evaluate("() => new Promise(requestAnimationFrame)")
+        durations.append(time.monotonic() - began)
+    return max(durations)
+
+
+def test_the_button_stops_within_two_seconds_under_load(page, robot, daemon):
+    over = threading.Event()
+
+    def flood() -> None:
         with httpx.Client(base_url=daemon.url, timeout=5) as client:
             while not over.is_set():
                 with contextlib.suppress(httpx.HTTPError):
                     client.get("/api/events")
 
-    def watch(over: threading.Event) -> None:
+    def watch() -> None:
         with connect(f"ws://127.0.0.1:{daemon.port}/api/stream") as stream:
             while not over.is_set():
                 stream.recv(timeout=5)
 
     robot.arm()
     page.locator("#mode[data-mode=armed]").wait_for()
-    threads(flood, 4)
-    threads(watch, 12)
-    page.wait_for_timeout(300)  # of load
-    allowed_s = 2 + 10 * round_trip_s(page)
-    pressed = time.monotonic()
-    page.keyboard.press("Space")
-    page.locator("#stopped[data-state=stopped]").wait_for()
-    assert time.monotonic() - pressed < allowed_s
+    with ThreadPoolExecutor(16) as crowd:
+        for work in [flood] * 4 + [watch] * 12:
+            crowd.submit(work)
+        try:
+            page.wait_for_timeout(300)  # of load
+            allowed_s = 2 + 10 * round_trip_s(page)
+            pressed = time.monotonic()
+            page.keyboard.press("Space")
+            page.locator("#stopped[data-state=stopped]").wait_for()
+            assert time.monotonic() - pressed < allowed_s
+        finally:
+            over.set()
     assert robot.status["mode"] == "stopped"
 
 
-def test_a_silent_connection_counts_as_lost_within_two_seconds(page, monkeypatch, round_trip_s):
+def test_a_silent_connection_counts_as_lost_within_two_seconds(page, monkeypatch):
     """A pulled cable leaves the browser's end of the connection open."""
     page.context.set_offline(True)
     page.route("**/api/**", lambda route: None)
