@@ -43,13 +43,13 @@ def new(file: Path | None, kind: str | None) -> None:
     if file.exists():
         fail(f"{file}: exists and was not changed; choose another name or move the file")
     if kind == "twin":
-        text = keys.for_the_twin()
+        text = keys.TWIN.read_text(encoding="utf-8")
         following = f"`softarm twin --config {file}`, and in another terminal `softarm run --config {file}`"
     elif kind == "simulated":
         text = keys.for_a_simulated_robot()
         following = f"`softarm run --simulated --config {file}`"
     else:
-        text = keys.for_a_robot()
+        text = keys.EXAMPLE.read_text(encoding="utf-8")
         following = f"`softarm doctor --config {file}`, then `softarm run --config {file}`"
     write(file, text)
     click.echo(f"next: {following}; `softarm config units` explains each key")

@@ -10,7 +10,7 @@ from softarm.common.revision import PACKAGE
 from softarm.schemas.config import Config
 
 EXAMPLE = PACKAGE / "softarm.yaml"  # every key at its default, with its meaning
-TWIN = PACKAGE / "twin.yaml"
+TWIN = PACKAGE / "twin.yaml"  # twin and daemon on one computer
 
 
 class KeyRow(NamedTuple):
@@ -29,12 +29,8 @@ def rows() -> Iterator[KeyRow]:
     lines, places = text.splitlines(), yaml_lines.parse(text, EXAMPLE).lines
     for key in leaves(Config):
         line = lines[places[key.path] - 1]
-        yield KeyRow(key.name, key.unit, _allowed(key), _default(key), line.partition(" # ")[2].strip())
-
-
-def _allowed(key: Key) -> str:
-    """Return the allowed values."""
-    return key.allowed + (" or null" if key.nullable and "null" not in key.allowed else "")
+        allowed = key.allowed + (" or null" if key.nullable and "null" not in key.allowed else "")
+        yield KeyRow(key.name, key.unit, allowed, _default(key), line.partition(" # ")[2].strip())
 
 
 def _default(key: Key) -> str:
@@ -42,19 +38,9 @@ def _default(key: Key) -> str:
     return "none" if value == {} else shown(value)
 
 
-def for_a_robot() -> str:
-    """Return a configuration file for a real robot: every key at its default, with comments."""
-    return EXAMPLE.read_text(encoding="utf-8")
-
-
-def for_the_twin() -> str:
-    """Return a configuration file for twin and daemon on one computer."""
-    return TWIN.read_text(encoding="utf-8")
-
-
 def for_a_simulated_robot() -> str:
     """Return a configuration file for `softarm run --simulated`: as for a real robot, without its drivers."""
-    lines = for_a_robot().splitlines(keepends=True)
+    lines = EXAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
     begin = lines.index("drivers:\n")
     end = next(n for n in range(begin + 1, len(lines)) if lines[n][0] not in " #\n")
     return "".join(lines[:begin] + lines[end:])

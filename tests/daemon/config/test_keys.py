@@ -1,7 +1,6 @@
 """Reference of the configuration keys and generated files."""
 
 from softarm.common.keys import leaves
-from softarm.common.revision import PACKAGE
 from softarm.daemon.config import keys
 from softarm.daemon.config.configuration import read
 from softarm.schemas.config import Config
@@ -21,12 +20,8 @@ def test_a_row_has_unit_range_and_default():
     assert rows["policies"].default == "none"
 
 
-def test_a_new_file_is_valid_and_complete(tmp_path):
-    (tmp_path / "robot.yaml").write_text(keys.for_a_robot())
-    (tmp_path / "twin.yaml").write_text(keys.for_the_twin())
+def test_the_file_of_a_simulated_robot_has_no_drivers(tmp_path):
     (tmp_path / "simulated.yaml").write_text(keys.for_a_simulated_robot())
-    assert read(tmp_path / "robot.yaml").config == Config()
-    assert read(tmp_path / "twin.yaml").config == read(PACKAGE / "twin.yaml").config != Config()
     simulated = read(tmp_path / "simulated.yaml")
     assert simulated.config == Config()
     assert {place[0] for place in simulated.lines if place} == set(Config.model_fields) - {"drivers"}

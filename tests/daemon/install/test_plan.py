@@ -14,7 +14,7 @@ from softarm.daemon.install.steps import Folder, Keep, Remove, Run, StepError, W
 from softarm.schemas.config import Api, Config, Drivers, Policy, Recorder, SerialRegulator
 
 COMMAND = ("/opt/softarm/.venv/bin/softarm",)
-PACKAGED = Wanted(keys.for_a_robot(), Config(), asked_for=False)
+PACKAGED = Wanted(keys.EXAMPLE.read_text(encoding="utf-8"), Config(), asked_for=False)
 OTHER = Config(recorder=Recorder(queue_max=500))
 
 
