@@ -76,15 +76,6 @@ def test_every_frame_of_a_tick_is_seen():
     assert observer.seen == ()
 
 
-def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
-    observer = Observer(Config(failsafe={"mocap_bridge_s": 0.0}))
-    feed(observer, 0, frame(0))
-    feed(observer, 33, frame(33, cart=0.033))
-    observed = feed(observer, 66)
-    assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
-    assert observed.mocap_age_ns == 33 * MS
-
-
 def velocities(observed):
     return observed.values.cart_velocity_m_s, observed.values.tip_vy_m_s, observed.values.tip_vz_m_s
 
@@ -165,18 +156,6 @@ def test_a_dropout_restarts_the_count_of_frames_for_arming():
     assert observer.frames_in_a_row == 3
     feed(observer, 300)
     assert observer.frames_in_a_row == 0
-
-
-def test_the_axis_is_compared_with_mocap_at_one_instant():
-    """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
-    observer = Observer(Config())
-    for tick in range(8):
-        now, cart = 40 * tick * MS, 0.04 * tick
-        reading = RailReading(now - 30 * MS, cart - 0.03, 1.0, True)
-        observer.update(
-            Inputs(t_ns=now, mocap=(frame(40 * tick - 10, cart=cart - 0.01, tip=(cart, 0.6)),), rail=reading)
-        )
-    assert observer.apart_m == pytest.approx(0.0, abs=1e-3)
 
 
 def apart_at_first_m(axis_ms, seen_ms, now_ms, speed_m_s=0.0, axis_m=0.25):
@@ -283,13 +262,6 @@ def test_the_estimate_has_the_age_of_the_freshest_frame():
     assert fly(observer, 99, seen=False).bridged_ns == (99 - 8 - 52) * MS
 
 
-def test_a_frame_after_the_ticks_start_is_extrapolated_to_the_tick_only():
-    observer = Observer(Config())
-    for t_ms in (0, 33):
-        fly(observer, t_ms, age_ms=-2)
-    assert fly(observer, 66, seen=False).bridged_ns == 31 * MS
-
-
 @pytest.mark.parametrize(
     ("age_ns", "bridged"),
     [(16_666_666, False), (16_666_667, True), (16_666_666 + 150 * MS, True), (16_666_667 + 150 * MS, False)],
@@ -310,18 +282,6 @@ def test_each_dropout_starts_from_the_last_seen_pose():
         observed = feed(observer, t_ms, *([] if cart is None else [frame(t_ms, cart=cart)]))
     assert observed.bridged_ns == 33 * MS
     assert observed.values.cart_position_m == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("every", [2, 3, 4])
-def test_no_dropout_starts_from_an_estimate(every):
-    """An arm at rest that is tracked in few ticks stays at rest in the estimates."""
-    observer = Observer(Config())
-    for tick in range(60):
-        now, tremor_m = 33 * tick, 3e-4 * (tick // every % 2)
-        seen = [frame(now - ago, tip=(-0.009 + tremor_m, 0.525)) for ago in (24, 16, 8)]
-        observed = feed(observer, now, *(seen if tick < 8 or tick % every == 0 else []), pressure=0.0)
-        assert math.hypot(*velocities(observed)) < 0.1
-        assert math.dist(observed.values[2:4], (-0.009, 0.525)) < 0.005
 
 
 def test_a_late_tick_with_an_extrapolation_keeps_the_next_step():
