@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,14 +39,21 @@ def make_tick(number: int, t_ns: int | None = None) -> tuple[Inputs, Outputs, Ti
     return Inputs(now, mocap=frames), outputs, TickTiming(1, 2, 3, None)
 
 
+@contextmanager
+def recording(settings: Config, **clocks):
+    """Yield a recorder that is stopped at the end."""
+    recorder = Recorder(settings, SPEC, **clocks)
+    recorder.start()
+    yield recorder
+    recorder.stop()
+
+
 def recorded(settings: Config, ticks) -> Recorder:
     """Record ticks and stop when all are written."""
-    recorder = Recorder(settings, SPEC)
-    recorder.start()
-    for one in ticks:
-        recorder.tick(*one)
-    until(lambda: not recorder._queue, "the queue")
-    recorder.stop()
+    with recording(settings) as recorder:
+        for one in ticks:
+            recorder.tick(*one)
+        until(lambda: not recorder._queue, "the queue")
     return recorder
 
 
@@ -63,9 +71,8 @@ def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
 
 def test_the_head_of_a_log_names_software_computer_and_time(tmp_path):
     settings = config(tmp_path)
-    recorder = Recorder(settings, SPEC, monotonic_ns=lambda: 1_000, wall_ns=lambda: 1_790_000_000_000_000_000)
-    recorder.start()
-    recorder.stop()
+    with recording(settings, monotonic_ns=lambda: 1_000, wall_ns=lambda: 1_790_000_000_000_000_000) as recorder:
+        pass
     log = logs.read(recorder.path)
     assert Config.model_validate_json(log.metadata["configuration"]["json"]) == settings
     assert log.metadata["clock"]["wall_minus_monotonic_ns"] == str(1_790_000_000_000_000_000 - 1_000)
@@ -77,12 +84,10 @@ def test_the_head_of_a_log_names_software_computer_and_time(tmp_path):
 
 
 def test_a_change_of_policy_is_recorded_in_order(tmp_path):
-    recorder = Recorder(config(tmp_path), SPEC)
-    recorder.start()
-    recorder.tick(*make_tick(0))
-    recorder.policy(PolicySpec("pid", "the seed's gains"))
-    recorder.tick(*make_tick(1))
-    recorder.stop()
+    with recording(config(tmp_path)) as recorder:
+        recorder.tick(*make_tick(0))
+        recorder.policy(PolicySpec("pid", "the seed's gains"))
+        recorder.tick(*make_tick(1))
     assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
 
 
@@ -94,11 +99,8 @@ def test_few_ticks_of_a_resting_arm_are_written_and_the_rest_at_the_end(tmp_path
 
 
 def test_two_recorders_in_the_same_second_write_two_files(tmp_path):
-    boxes = [Recorder(config(tmp_path), wall_ns=lambda: 0) for _ in range(2)]
-    for box in boxes:
-        box.start()
-    for box in boxes:
-        box.stop()
+    with recording(config(tmp_path), wall_ns=lambda: 0), recording(config(tmp_path), wall_ns=lambda: 0):
+        pass
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "softarm-19700101T000000Z-2.mcap",
         "softarm-19700101T000000Z.mcap",
@@ -115,15 +117,13 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
         return write(self, item)
 
     monkeypatch.setattr(TickFile, "write", slow_disk)
-    recorder = Recorder(config(tmp_path, queue_max=100))
-    recorder.start()
-    recorder.tick(*make_tick(0))
-    assert entered.wait(20)  # the writer holds one tick and hangs
-    for number in range(1, 151):
-        recorder.tick(*make_tick(number))
-    assert recorder.dropped == 50
-    gate.set()
-    recorder.stop()
+    with recording(config(tmp_path, queue_max=100)) as recorder:
+        recorder.tick(*make_tick(0))
+        assert entered.wait(20)  # the writer holds one tick and hangs
+        for number in range(1, 151):
+            recorder.tick(*make_tick(number))
+        assert recorder.dropped == 50
+        gate.set()
     assert [o.tick for _, o in logs.read(recorder.path).ticks()] == list(range(101))
     assert recorder.problem is None
 
@@ -252,15 +252,13 @@ def test_a_full_file_is_continued_if_no_new_one_can_be_created(tmp_path, disk, m
 
 
 def test_a_tick_that_cannot_be_encoded_is_dropped_and_counted(tmp_path, caplog):
-    recorder = Recorder(config(tmp_path), SPEC)
-    recorder.start()
     reading = PressureReading(1, 0.5, False)
-    for number in range(1, 11):
-        inputs, outputs, timing = make_tick(number)
-        wrong = {"problems": Problems(rail="\ud800")} if number in (1, 5) else {}
-        wrong |= {"mocap": (*inputs.mocap[:2], None, inputs.mocap[3])} if number == 6 else {}
-        recorder.tick(dataclasses.replace(inputs, pressure=reading, **wrong), outputs, timing)
-    recorder.stop()
+    with recording(config(tmp_path)) as recorder:
+        for number in range(1, 11):
+            inputs, outputs, timing = make_tick(number)
+            wrong = {"problems": Problems(rail="\ud800")} if number in (1, 5) else {}
+            wrong |= {"mocap": (*inputs.mocap[:2], None, inputs.mocap[3])} if number == 6 else {}
+            recorder.tick(dataclasses.replace(inputs, pressure=reading, **wrong), outputs, timing)
     assert (recorder.dropped, recorder.problem) == (3, None)
     ticks = list(logs.read(recorder.path))
     assert [outputs.tick for _, outputs, _ in ticks] == [2, 3, 4, 7, 8, 9, 10]
@@ -270,11 +268,9 @@ def test_a_tick_that_cannot_be_encoded_is_dropped_and_counted(tmp_path, caplog):
 
 
 def test_a_disabled_recorder_writes_nothing(tmp_path):
-    recorder = Recorder(config(tmp_path / "logs", enabled=False), SPEC)
-    recorder.start()
-    recorder.tick(*make_tick(0))
-    recorder.tick(*flown(1))
-    recorder.stop()
+    with recording(config(tmp_path / "logs", enabled=False)) as recorder:
+        recorder.tick(*make_tick(0))
+        recorder.tick(*flown(1))
     assert recorder.path is None
     assert recorder.dropped == 0
     assert [entry.text for entry in recorder.history.entries] == ["disarmed → armed"]
@@ -289,22 +285,18 @@ def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
         for number in range(50):
             live.write(make_tick(number))
     (tmp_path / "softarm-20200101T000001Z.mcap").write_bytes(b"rubbish")
-    recorder = Recorder(config(tmp_path))
-    recorder.start()
-    until(lambda: is_finished(left), "the old log")
-    recorder.stop()
+    with recording(config(tmp_path)):
+        until(lambda: is_finished(left), "the old log")
     assert len(list(logs.read(left).ticks())) == 50
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
 
 
 def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
-    writer = Recorder(config(tmp_path))
-    writer.start()
-    writer.tick(*make_tick(0))
-    until(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
-    assert not finishing.recover(writer.path).finished
-    writer.tick(*make_tick(1))
-    writer.stop()
+    with recording(config(tmp_path)) as writer:
+        writer.tick(*make_tick(0))
+        until(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
+        assert not finishing.recover(writer.path).finished
+        writer.tick(*make_tick(1))
     assert len(list(logs.read(writer.path).ticks())) == 2
 
 
