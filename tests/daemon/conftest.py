@@ -6,9 +6,9 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import httpx
-import numpy as np
 import pytest
 
 from softarm.daemon.api.app import create_app
@@ -22,25 +22,9 @@ from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Api, Config
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation, TrainingRange
+from tests.daemon.rig import Steady
 
 LOCAL = "http://127.0.0.1"
-
-
-class Swing:
-    """Policy whose actions the test sets."""
-
-    def __init__(self, name: str, failure: Exception | None = None) -> None:
-        self.spec = PolicySpec(name, "swings")
-        self.failure, self.steps, self.resets = failure, 0, 0
-
-    def reset(self) -> None:
-        self.resets += 1
-
-    def step(self, observation, goal):
-        self.steps += 1
-        if self.failure:
-            raise self.failure
-        return np.zeros(2, dtype=np.float32)
 
 
 class Shelf:
@@ -54,7 +38,7 @@ class Shelf:
             "pid": PolicyEntry("pid", "test", spec=PolicySpec("pid", "the seed's gains")),
             "reach": PolicyEntry("reach", "test", spec=PolicySpec("reach", "swings", True, 100, trained, "ab")),
         }
-        self.loaded: list[tuple[Swing, str]] = []
+        self.loaded: list[tuple[Steady, str]] = []
 
     def available(self):
         return self.entries
@@ -62,7 +46,7 @@ class Shelf:
     def load(self, name):
         if name == "lost":
             raise PolicyError("policy 'lost': its file is gone; available: pid, reach")
-        policy = Swing(name, ValueError("no weights") if name == "broken" else None)
+        policy = Steady(ValueError("no weights") if name == "broken" else (0.0, 0.0), PolicySpec(name, "swings"))
         self.loaded.append((policy, threading.current_thread().name))
         return trial.ready(policy)
 
@@ -147,22 +131,13 @@ def loop():
         yield running
 
 
-class Present:
-    """The loop of the present test, for an application that several tests share."""
-
-    loop: Loop
-
-    def __getattr__(self, name):
-        return getattr(self.loop, name)
-
-
 @pytest.fixture(scope="module")
 def shared_app():
     """Return one application for the tests of a file, since each takes 0.1 s, and where to put their loops."""
-    present = Present()
-    inbox = type("PresentInbox", (), {"__getattr__": lambda _, name: getattr(present.loop.inbox, name)})()
-    reads = {"policies": Shelf(), "problems": lambda: present.problems}
-    return create_app(ApiContext(Config(), inbox, lambda: present.outputs, **reads)), present
+    present = SimpleNamespace(loop=None)  # of the present test
+    inbox = SimpleNamespace(post=lambda *args, **kwargs: present.loop.inbox.post(*args, **kwargs))
+    reads = {"policies": Shelf(), "problems": lambda: present.loop.problems}
+    return create_app(ApiContext(Config(), inbox, lambda: present.loop.outputs, **reads)), present
 
 
 @pytest.fixture

@@ -15,13 +15,15 @@ from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailRead
 PERIOD_NS = 33_333_333
 
 
+STEADY = PolicySpec("steady", "for tests")
+
+
 class Steady:
-    """Policy with a constant action that records its observations."""
+    """Policy with a constant action, or error, that records its observations."""
 
-    spec = PolicySpec("steady", "for tests")
-
-    def __init__(self, action=(0.2, 5.0)):
-        self.action = np.array(action, dtype=np.float32)
+    def __init__(self, action=(0.2, 5.0), spec=STEADY):
+        self.spec = spec
+        self.action = np.array(action, dtype=np.float32) if isinstance(action, tuple) else action
         self.seen, self.resets = [], 0
 
     def reset(self):
@@ -29,6 +31,8 @@ class Steady:
 
     def step(self, observation, goal):
         self.seen.append((observation.copy(), goal.copy()))
+        if isinstance(self.action, Exception):
+            raise self.action
         return self.action
 
 

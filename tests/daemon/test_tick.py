@@ -96,14 +96,12 @@ def test_a_new_goal_in_mid_swing_resets_the_policy():
     assert rig.policy.seen[-1][1] == pytest.approx([-0.3, 0.7])
 
 
-class Episode(Steady):
-    """Policy without a target that ends after ten steps."""
-
-    spec = PolicySpec("episode", "for tests", needs_target=False, episode_steps=10)
+# Without a target, ending after ten steps.
+EPISODE = PolicySpec("episode", "for tests", needs_target=False, episode_steps=10)
 
 
 def test_a_run_lasts_for_the_policys_episode():
-    rig = Rig(Episode()).armed()
+    rig = Rig(Steady(spec=EPISODE)).armed()
     states = [rig.tick("goal", goal=Goal("run")).goal.state] + [rig.tick().goal.state for _ in range(10)]
     assert states == ["running"] * 10 + ["reached"]
     assert len(rig.policy.seen) == 10
@@ -117,7 +115,7 @@ def test_a_policy_accepts_only_its_kind_of_goal_and_hold():
         "(`softarm policy use NAME`, or Policies on the dashboard)"
     )
     assert rig.outputs.goal.state == "none"
-    for policy in (Steady(), Episode()):
+    for policy in (Steady(), Steady(spec=EPISODE)):
         rig = Rig(policy).armed()
         rig.tick("goal", goal=Goal("hold"))
         assert rig.outputs.results[-1] == RequestResult(rig.number, True)
@@ -255,8 +253,7 @@ def test_a_resumed_replay_counts_the_recorded_frames(seen, then_none, settled):
 
 @pytest.mark.parametrize(("wants_tracking", "values"), [(False, 8), (True, 10)])
 def test_only_a_policy_that_asks_gets_the_tracking_state(wants_tracking, values):
-    policy = Steady()
-    policy.spec = PolicySpec("tracking", "for tests", wants_tracking=wants_tracking)
+    policy = Steady(spec=PolicySpec("tracking", "for tests", wants_tracking=wants_tracking))
     Rig(policy).swinging()
     assert [len(observation) for observation, _ in policy.seen] == [values]
 

@@ -277,7 +277,7 @@ def test_a_policy_is_loaded_and_warmed_up_outside_the_loop(loop, app, client_of,
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 200
     policy, thread = shelf.loaded[0]
-    assert (policy.steps, policy.resets) == (1, 2)
+    assert (len(policy.seen), policy.resets) == (1, 2)
     assert thread == "worker: loading the policy 'pid'"
     post = loop.taken[-1]
     assert post.request.policy == "pid"

@@ -59,16 +59,6 @@ def test_every_event_has_its_response_and_refuses_to_arm_or_not():
     }
 
 
-@pytest.mark.parametrize("name", TABLE)
-def test_every_line_of_the_table_has_a_cause_and_a_next_step(name):
-    rule = TABLE[name]
-    assert rule.meaning
-    assert rule.remedy
-    text = Event(name, "42 ms").text
-    assert "42 ms" in text
-    assert rule.remedy in text
-
-
 @pytest.mark.parametrize("name", names(Response.STOP))
 @pytest.mark.parametrize("mode", [Mode.ARMING, Mode.ARMED, Mode.STOPPING])
 def test_a_stop_ends_every_active_mode_and_latches(mode, name):
@@ -165,28 +155,15 @@ def test_a_requested_stop_latches_whatever_else_is_wrong_before_it(other):
     assert (made.mode, made.estop) == (Mode.STOPPED, EStop.ENGAGED)
 
 
-def test_the_severest_event_wins():
-    made = machine(Mode.ARMED)
-    step(made, "mocap_stale", "rail_fault", "tick_late", devices_armed=True)
-    assert made.mode is Mode.STOPPED
-
-
-def test_arming_waits_for_the_devices_and_gives_up_in_time():
+@pytest.mark.parametrize(("accepted", "mode"), [(False, Mode.STOPPING), (True, Mode.ARMED)])
+def test_arming_waits_for_the_devices_and_gives_up_in_time(accepted, mode):
     made = machine(Mode.ARMING)
     for _ in range(3):
         step(made)
         assert made.mode is Mode.ARMING
-    step(made)
-    assert made.mode is Mode.STOPPING
-    assert "did not accept the arm command" in made.last_stop
-
-
-def test_devices_that_take_the_command_in_the_last_tick_are_in_time():
-    made = machine(Mode.ARMING)
-    for _ in range(3):
-        step(made)
-    step(made, devices_armed=True)
-    assert made.mode is Mode.ARMED
+    step(made, devices_armed=accepted)
+    assert made.mode is mode
+    assert accepted or "did not accept the arm command" in made.last_stop
 
 
 def test_arming_ended_by_another_event_is_no_timeout():
@@ -257,6 +234,7 @@ def test_each_soft_stop_waits_for_the_cart_again():
 @pytest.mark.parametrize("name", [n for n, rule in TABLE.items() if rule.blocks_arming])
 def test_a_refusal_to_arm_names_cause_and_remedy(name):
     made = machine(Mode.DISARMED)
+    assert TABLE[name].remedy in Event(name).text
     assert made.refusals([Event(name)]) == (Event(name).text,)
     assert made.arm([Event(name)]) == (Event(name).text,)
     assert made.mode is Mode.DISARMED
