@@ -41,6 +41,8 @@ def test_events_are_served_from_the_newest_or_after_a_number(recorded):
     }
     assert [e["number"] for e in recorded.get("/api/events?limit=2").json()["events"]] == [9, 10]
     assert [e["number"] for e in recorded.get("/api/events?since=3&limit=2").json()["events"]] == [4, 5]
+    assert [e["number"] for e in recorded.get("/api/events?since=9").json()["events"]] == [10]
+    assert recorded.get("/api/events?since=10").json()["events"] == []
 
 
 def test_a_new_daemon_has_no_events(client):

@@ -38,12 +38,3 @@ def test_a_thousand_entries_are_kept():
     turned(made, KEPT + 7)
     assert [made.entries[0].number, made.entries[-1].number] == [8, KEPT + 7]
     assert len(made.entries) == KEPT
-
-
-def test_entries_are_read_from_the_newest_or_after_a_number():
-    made = history()
-    turned(made, 10)
-    assert [e.number for e in made.after(None, 3)] == [8, 9, 10]
-    assert [e.number for e in made.after(4, 3)] == [5, 6, 7]
-    assert [e.number for e in made.after(9, 3)] == [10]
-    assert made.after(10, 3) == ()

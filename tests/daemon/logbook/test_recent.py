@@ -70,10 +70,6 @@ def test_an_unknown_value_or_nan_is_null():
     assert {name for name, column in said.items() if column != [None]} == known
 
 
-def test_before_the_first_tick_the_columns_are_there_and_empty():
-    assert json.loads(Recent(lambda: 0, lambda: 0).json(60)) == {name: [] for name in NAMES}
-
-
 @pytest.mark.parametrize("ticks", [1, 29, 30, 31, 2000])
 @pytest.mark.parametrize("seconds", [1, 60, 600])
 def test_the_newest_seconds_are_returned_without_a_gap(ticks, seconds):

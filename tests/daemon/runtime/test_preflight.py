@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from softarm.common import realtime
-from softarm.daemon.access.sockets import ApiError, holder, listen
+from softarm.daemon.access.sockets import ApiError, listen
 from softarm.daemon.config.places import latch_path
 from softarm.daemon.runtime import preflight
 from softarm.daemon.stop.latch import LatchKeeper
@@ -73,13 +73,6 @@ def test_checking_a_port_leaves_it_free(look, tmp_path):
 def test_an_address_of_another_computer_is_reported():
     with pytest.raises(ApiError, match=r"api\.port 1: cannot listen there \(.*\); name an address of this machine"):
         listen("192.0.2.1", 1, "api.port", 1)
-
-
-def test_a_free_port_has_no_holder(taken):
-    assert holder(taken).startswith(f"process {os.getpid()} (")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        assert holder(free.getsockname()[1]) is None
 
 
 def test_an_unusable_log_directory_is_reported_once(look, tmp_path):
