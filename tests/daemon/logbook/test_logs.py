@@ -27,7 +27,6 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.logbook.tick_file import TickFile
 from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter
 from softarm.policies.base import PolicySpec
-from softarm.recordings import finishing
 from softarm.recordings.channels import EVENT
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
@@ -183,17 +182,6 @@ def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
         seen.append(len(found))
     assert seen == sorted(seen)
     assert (seen[0], seen[-1]) == (0, 12)
-
-
-def test_a_log_that_was_finished_later_holds_the_same_ticks(tmp_path):
-    ticks = [make_tick(n) for n in range(40)]
-    path = unfinished(tmp_path, ticks)
-    path.write_bytes(path.read_bytes()[:-300])
-    assert finishing.recover(path).finished
-    log = logs.read(path)
-    assert exactly(tuple(log)) == exactly(tuple(ticks[:39]))
-    assert log.duration_s == pytest.approx(38 * 33_333_333e-9)
-    assert log.config == Config()
 
 
 def test_a_log_without_measurements_is_not_replayed(tmp_path):
