@@ -50,12 +50,8 @@ def _daemon() -> Iterator[tuple[Daemon, Devices]]:
         settings = {"api": {"port": 0, "stop_port": 0}, "recorder": {"directory": f"{folder}/logs"}}
         settings["control"] = {"realtime_priority": 0}  # the browser would inherit it
         settings["failsafe"] = TOLERANT
-        made = Daemon(Config.model_validate(settings), devices)
-        made.start()
-        try:
+        with Daemon(Config.model_validate(settings), devices) as made:
             yield made, devices
-        finally:
-            made.stop()
 
 
 def _until(met: Callable[[], bool], what: str) -> None:

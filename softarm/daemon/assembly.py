@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import FrameType
+from typing import Self
 
 from softarm.common import realtime
 from softarm.daemon.access.login import Sessions
@@ -130,6 +131,13 @@ class Daemon:
         """Stop every part, even if another fails; the loop first, since it leaves the devices safe."""
         self._stop_parts(self.loop)
 
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
     def _stop_parts(self, *first: ControlLoop) -> None:
         for part in (*first, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):
             try:
@@ -187,14 +195,10 @@ def run(
     policy = first_policy(config, stop)
     if policy is None:
         return signals[-1]
-    daemon = Daemon(config, devices, latch, policy, foxglove)
-    daemon.start()
-    try:
+    with Daemon(config, devices, latch, policy, foxglove) as daemon:
         on_ready(daemon)
         daemon.notifier.ready(f"serving {daemon.url}")
         with StopKey(daemon.stop_by_key):
             wait_for(stop)
         daemon.notifier.stopping()
-    finally:
-        daemon.stop()
     return signals[-1]

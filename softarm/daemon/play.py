@@ -54,9 +54,7 @@ def play(
     """
     config = _with_excitation(config, excitation)
     realtime.outrank_other_programs(config.control.realtime_priority)
-    daemon = Daemon(config, devices, latch)
-    daemon.start()
-    try:
+    with Daemon(config, devices, latch) as daemon:  # at the end it brakes, vents and switches off
         _arm(daemon)
         number = daemon.inbox.post("goal", goal=Goal("run"), who="softarm excite")
         deadline_s = time.monotonic() + length_s(config, excitation) + _ARMING_S
@@ -66,8 +64,6 @@ def play(
                 raise RuntimeError("the control loop has stalled; see its own output")
             time.sleep(_POLL_S)
         return Played(status, daemon.recorder.path)
-    finally:
-        daemon.stop()  # brakes, vents and switches off
 
 
 def play_simulated(

@@ -74,18 +74,13 @@ def test_an_invalid_number_is_refused_with_the_allowed_range(client, query, sent
 def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)  # this process is the tests'
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
-    daemon = Daemon(config, simulated_devices())
-    with caplog.at_level(logging.INFO, "softarm.events"):
-        daemon.start()
-        try:
-            until(lambda: daemon.loop.snapshot is not None)
-            assert httpx.post(daemon.stop_url, trust_env=False).status_code == 200
-            daemon.stop_by_key()
-            assert httpx.post(f"{daemon.url}/api/acknowledge", trust_env=False).status_code in (200, 409)
-            until(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
-            recorded = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
-        finally:
-            daemon.stop()
+    with caplog.at_level(logging.INFO, "softarm.events"), Daemon(config, simulated_devices()) as daemon:
+        until(lambda: daemon.loop.snapshot is not None)
+        assert httpx.post(daemon.stop_url, trust_env=False).status_code == 200
+        daemon.stop_by_key()
+        assert httpx.post(f"{daemon.url}/api/acknowledge", trust_env=False).status_code in (200, 409)
+        until(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
+        recorded = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
     asked = [(event["what"], event["who"]) for event in recorded if event["kind"] == "request"]
     assert asked == [("stop", "the dedicated stop port"), ("stop", "the terminal"), ("acknowledge", "the API")]
     (stop,) = (event for event in recorded if event["kind"] == "stop")

@@ -96,18 +96,14 @@ def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monke
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
     daemon = Daemon(config, simulated_devices())
     assert asked == []  # threads keep the priority of the thread that starts them
-    daemon.start()
-    try:
-        with httpx.Client(base_url=daemon.url, trust_env=False) as client:
-            robot = client.get("/api/robot").json()
-            assert (robot["simulated"], robot["stop_port"]) == (True, daemon.stop_port)
-            assert robot["run"] == client.get("/api/events").json()["run"]
-            assert f"http://127.0.0.1:{daemon.stop_port}" in client.get("/").headers["content-security-policy"]
-            with connect(daemon.url.replace("http", "ws", 1) + "/api/stream") as stream:
-                shown = [status(stream) for _ in range(30)]
-            columns = client.get("/api/recent").json()
-    finally:
-        daemon.stop()
+    with daemon, httpx.Client(base_url=daemon.url, trust_env=False) as client:
+        robot = client.get("/api/robot").json()
+        assert (robot["simulated"], robot["stop_port"]) == (True, daemon.stop_port)
+        assert robot["run"] == client.get("/api/events").json()["run"]
+        assert f"http://127.0.0.1:{daemon.stop_port}" in client.get("/").headers["content-security-policy"]
+        with connect(daemon.url.replace("http", "ws", 1) + "/api/stream") as stream:
+            shown = [status(stream) for _ in range(30)]
+        columns = client.get("/api/recent").json()
     bodies = shown[-1]["bodies"]
     assert len(bodies) == len(BODY_NAMES)
     heights = [z_m for _, z_m in bodies]

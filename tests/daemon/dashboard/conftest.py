@@ -33,12 +33,8 @@ def running(tmp_path, port: int = 0, **api) -> Iterator[Daemon]:
     }
     config = Config.model_validate(settings)
     config = config.model_copy(update={"failsafe": config.failsafe.model_copy(update=FAILSAFE)})
-    made = Daemon(config, simulated_devices())
-    made.start()
-    try:
+    with Daemon(config, simulated_devices()) as made:
         yield made
-    finally:
-        made.stop()
 
 
 @pytest.fixture(scope="module")

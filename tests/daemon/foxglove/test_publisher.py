@@ -77,10 +77,8 @@ def config_of(folder):
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
     config = config_of(tmp_path_factory.mktemp("logs"))
-    daemon = Daemon(config, simulated_devices(), foxglove=FoxglovePublisher(config, port=0))
-    daemon.start()
-    yield daemon
-    daemon.stop()
+    with Daemon(config, simulated_devices(), foxglove=FoxglovePublisher(config, port=0)) as daemon:
+        yield daemon
 
 
 @pytest.fixture(scope="module")
