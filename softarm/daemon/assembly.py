@@ -43,7 +43,7 @@ def latch_of(config: Config) -> LatchKeeper:
 
 
 class Daemon:
-    """The daemon in this process, on the caller's devices."""
+    """The daemon in this process, on the caller's devices; a context in which it runs."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class Daemon:
             simulated=devices.simulated,
         )
 
-    def start(self) -> None:
+    def __enter__(self) -> Self:
         """Start latch, recorder, stop port, API and loop: the API answers before the hardware is ready.
 
         Raises:
@@ -126,17 +126,11 @@ class Daemon:
             self._stop_parts()
             raise
         self.loop.start()
-
-    def stop(self) -> None:
-        """Stop every part, even if another fails; the loop first, since it leaves the devices safe."""
-        self._stop_parts(self.loop)
-
-    def __enter__(self) -> Self:
-        self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        """Stop every part, even if another fails; the loop first, since it leaves the devices safe."""
+        self._stop_parts(self.loop)
 
     def _stop_parts(self, *first: ControlLoop) -> None:
         for part in (*first, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):

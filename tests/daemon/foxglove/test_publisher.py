@@ -179,8 +179,9 @@ def test_a_used_port_is_reported_and_ends_the_start(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         daemon = Daemon(config, simulated_devices(), foxglove=FoxglovePublisher(config, port=port))
-        with pytest.raises(FoxgloveError, match=rf"Foxglove cannot be served at 127.0.0.1:{port} .*another port"):
-            daemon.start()
+        message = rf"Foxglove cannot be served at 127.0.0.1:{port} .*another port"
+        with pytest.raises(FoxgloveError, match=message), daemon:
+            pass
     assert daemon.foxglove._server.poll() is not None
 
 
