@@ -83,7 +83,7 @@ def running(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def robot(running):
-    with httpx.Client(base_url=running.url) as client:
+    with httpx.Client(base_url=running.url, timeout=60) as client:
         yield client
 
 
