@@ -37,11 +37,6 @@ POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0002  # the API's thread yields to the control loop within this time instead of 5 ms
 
 
-def latch_of(config: Config) -> LatchKeeper:
-    """Return the latch of a real robot; a robot simulated in this process has none."""
-    return LatchKeeper(latch_path(config), config.control.realtime_priority)
-
-
 class Daemon:
     """The daemon in this process, on the caller's devices; a context in which it runs."""
 
@@ -49,13 +44,12 @@ class Daemon:
         self,
         config: Config,
         devices: Devices,
-        latch: LatchKeeper | None = None,
         policy: Policy | None = None,
         foxglove: FoxglovePublisher | None = None,
     ) -> None:
         """Assemble the daemon without starting it; keeps the priority of the calling thread.
 
-        `policy` is the loaded `control.policy`; without it the policy is loaded here. A real robot has a latch.
+        `policy` is the loaded `control.policy`; without it the policy is loaded here.
 
         Raises:
             PolicyError: The policy cannot be loaded.
@@ -67,7 +61,8 @@ class Daemon:
         if foxglove is not None:
             self.recorder.listener = foxglove.take
         self.inbox = Inbox()
-        self.latch = latch
+        # A robot simulated in this process has no stop to keep.
+        self.latch = None if devices.simulated else LatchKeeper(latch_path(config), config.control.realtime_priority)
         self.notifier = Notifier()
         controller = Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s))
         self.loop = ControlLoop(
@@ -76,7 +71,7 @@ class Daemon:
             self.inbox,
             self.recorder,
             self.notifier,
-            latch,
+            self.latch,
             config.control.realtime_priority,
         )
         sessions = Sessions(config.api.port)
@@ -169,7 +164,6 @@ def run(
     config: Config,
     devices: Devices,
     on_ready: Callable[[Daemon], None],
-    latch: LatchKeeper | None = None,
     foxglove: FoxglovePublisher | None = None,
 ) -> int:
     """Run the daemon until SIGINT or SIGTERM and return the signal; notify systemd if present.
@@ -189,7 +183,7 @@ def run(
     policy = first_policy(config, stop)
     if policy is None:
         return signals[-1]
-    with Daemon(config, devices, latch, policy, foxglove) as daemon:
+    with Daemon(config, devices, policy, foxglove) as daemon:
         on_ready(daemon)
         daemon.notifier.ready(f"serving {daemon.url}")
         with StopKey(daemon.stop_by_key):

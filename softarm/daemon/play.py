@@ -11,7 +11,6 @@ from softarm.daemon.assembly import Daemon
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.offline import Lockstep
-from softarm.daemon.stop.latch import LatchKeeper
 from softarm.drivers.bodies.base import Body
 from softarm.policies.excite import Excite
 from softarm.schemas.config import Config, Policy
@@ -38,13 +37,7 @@ def length_s(config: Config, excitation: str) -> float:
     return (Excite.describe(excitation).episode_steps or 0) / config.control.rate_hz
 
 
-def play(
-    config: Config,
-    excitation: str,
-    devices: Devices,
-    on_time: Callable[[float], None],
-    latch: LatchKeeper | None = None,
-) -> Played:
+def play(config: Config, excitation: str, devices: Devices, on_time: Callable[[float], None]) -> Played:
     """Play an excitation in real time; always leaves the devices braked and vented.
 
     Calls `on_time` with the time played so far, s. Also raises the errors of `Daemon`.
@@ -54,7 +47,7 @@ def play(
     """
     config = _with_excitation(config, excitation)
     realtime.outrank_other_programs(config.control.realtime_priority)
-    with Daemon(config, devices, latch) as daemon:  # at the end it brakes, vents and switches off
+    with Daemon(config, devices) as daemon:  # at the end it brakes, vents and switches off
         _arm(daemon)
         number = daemon.inbox.post("goal", goal=Goal("run"), who="softarm excite")
         deadline_s = time.monotonic() + length_s(config, excitation) + _ARMING_S

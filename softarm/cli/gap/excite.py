@@ -54,7 +54,6 @@ def excite(
       softarm excite seed --reality --fault arm.payload_kg=0.03     on the independent robot
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
-    from softarm.daemon.assembly import latch_of
     from softarm.daemon.play import length_s, play, play_simulated
     from softarm.daemon.runtime.devices import real_devices
     from softarm.schemas.excitation import EXCITATIONS
@@ -91,7 +90,7 @@ def excite(
                 if simulated or reality:
                     status, log = play_simulated(config, name, model, shown.show, body)
                 else:
-                    status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
+                    status, log = play(config, name, real_devices(config), shown.show)
             _report(name, status, log)
             recorded.append(log)
     print_next([log for log in recorded if log is not None], plan)

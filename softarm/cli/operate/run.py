@@ -56,10 +56,8 @@ def run(
     leaves("the daemon had not started")
     config = prepared(config_file, wires=not simulated, port=port)
     publisher = None if foxglove is None else _publisher(config, foxglove)
-    if simulated:
-        ended = assembly.run(config, simulated_devices(flown_model(model_file)), announce, foxglove=publisher)
-    else:
-        ended = assembly.run(config, real_devices(config), announce, assembly.latch_of(config), publisher)
+    devices = simulated_devices(flown_model(model_file)) if simulated else real_devices(config)
+    ended = assembly.run(config, devices, announce, foxglove=publisher)
     if ended == signal.SIGINT:
         raise KeyboardInterrupt
     click.echo(f"ended: {left_now()}", err=True)
