@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from softarm.common.braking import CREEP_MAX_M_S, RETURN_SPEED_M_S
+from softarm.common.braking import CREEP_MAX_M_S
 from softarm.daemon.control.safety import SafetyFilter
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.schemas.config import Config, DryveRail, Limits, PressureLimits, RailLimits
@@ -97,16 +97,6 @@ def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, star
     assert all(RAIL.position_min_m <= each.position_m <= RAIL.position_max_m for each in cart.track)
 
 
-@given(st.lists(st.floats(-2, 2), min_size=1, max_size=30), st.floats(-0.25, 0.25), st.floats(-1, 1))
-def test_a_mirrored_world_gets_mirrored_commands(velocities, position, speed):
-    here, mirrored = make(), make()
-    for tick, velocity in enumerate(velocities):
-        t_ns = tick * SOON_NS
-        one, _ = here.apply(Command(True, velocity, 0.0), read(position, speed, t_ns), t_ns)
-        other, _ = mirrored.apply(Command(True, -velocity, 0.0), read(-position, -speed, t_ns), t_ns)
-        assert one.cart_velocity_m_s == -other.cart_velocity_m_s
-
-
 def test_at_the_end_of_the_rail_only_motion_inwards_is_allowed():
     safety = make()
     out, clamps = safety.apply(Command(True, 1.0, 0.0), read(RAIL.position_max_m, 0.0), 0)
@@ -117,12 +107,6 @@ def test_at_the_end_of_the_rail_only_motion_inwards_is_allowed():
     out, clamps = make().apply(Command(True, -1.0, 0.0), read(RAIL.position_min_m, 0.0), 0)
     assert out.cart_velocity_m_s >= 0
     assert clamps == ("rail_position_min",)
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-def test_a_cart_outside_the_limits_returns_slowly(side):
-    sent, _ = make().apply(Command(True, 0.0, 0.0), read(side * 0.28, 0.0), 0)
-    assert sent.cart_velocity_m_s == pytest.approx(-side * RETURN_SPEED_M_S)
 
 
 def under_way(velocity: float) -> SafetyFilter:
