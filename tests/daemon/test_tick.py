@@ -124,10 +124,11 @@ def test_a_policy_accepts_only_its_kind_of_goal_and_hold():
     assert "'episode' does not move to targets" in rig.reasons()
 
 
-@pytest.mark.parametrize("kind", ["goal", "cancel_goal"])
-def test_hold_and_cancel_keep_the_arm_armed_at_rest(kind):
+@pytest.mark.parametrize(("kind", "state"), [("goal", "running"), ("cancel_goal", "cancelled")])
+def test_hold_and_cancel_keep_the_arm_armed_at_rest(kind, state):
     rig = Rig().swinging()
     rig.tick(kind, goal=Goal("hold"))
+    assert rig.outputs.goal.state == state
     assert rig.outputs.sent == Command(True, 0.0, 0.0)
     assert rig.outputs.mode is Mode.ARMED
 
