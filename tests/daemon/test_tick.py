@@ -55,6 +55,13 @@ def test_ticks_are_counted_from_one_and_a_policy_that_is_not_asked_takes_no_time
     assert (rig.outputs.policy_ns, rig.outputs.policy_fault, rig.outputs.action) == (0, None, None)
 
 
+def test_the_newest_good_frame_is_offered_to_the_api():
+    rig = Rig()
+    assert rig.controller.frame is None
+    rig.tick()
+    assert rig.controller.frame.sequence == rig.sequence
+
+
 def test_the_rails_cycle_time_is_reported_in_milliseconds():
     rig = Rig()
     assert (rig.tick().rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (None, None)
