@@ -22,14 +22,14 @@ BATCH = 4096
 COILED_RAD = 5.0
 
 
-def fly(robots: int, seed: int) -> tuple[bool, int]:
+def fly(robots: int, seed: int, rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> tuple[bool, int]:
     """Simulate one episode per robot, with full-range commands every tenth of a second and a shelf within reach.
 
     Returns:
         Whether all robots stayed finite, and how many ended coiled up.
     """
     rng = np.random.default_rng(seed)
-    simulator = Simulator(None, robots, TRAINING_PHYSICS_RATE_HZ, overrides=draw(rng, robots))
+    simulator = Simulator(None, robots, rate_hz, overrides=draw(rng, robots))
     simulator.place_shelf(rng.uniform(-0.6, -0.25, robots), rng.uniform(0.55, 0.7, robots))
     simulator.reset(
         cart_position_m=rng.uniform(-0.025, RAIL_LIMIT_M, robots),
