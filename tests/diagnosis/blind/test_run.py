@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from softarm.cli.gap.blind import blind
 from softarm.diagnosis.blind import opening, run, seal
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.record import record
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
+from tests.cli.invoke import invoke
 from tests.diagnosis.verdicts import effect, verdict
 
 CASES = ("case-a", "case-b", "case-c")
@@ -213,14 +212,13 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
 
 
 def test_the_commands_run_and_open_work(data, tmp_path):
-    command = ["run", data, "--answers", tmp_path / "a.json", "--processes", "1"]
-    outcome = CliRunner().invoke(blind, [str(word) for word in command])
+    outcome = invoke("blind", "run", data, "--answers", tmp_path / "a.json", "--processes", 1)
     assert outcome.exit_code == 0, outcome.output
     assert "frozen as" in outcome.output
-    command = ["open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels"]
-    outcome = CliRunner().invoke(blind, [str(word) for word in (*command, tmp_path / "sealed" / "labels.json")])
+    opened = ("blind", "open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
+    outcome = invoke(*opened, tmp_path / "sealed" / "labels.json")
     assert outcome.exit_code == 0, outcome.output
     assert "single, exact | 100%" in outcome.output
-    outcome = CliRunner().invoke(blind, [str(word) for word in (*command, tmp_path / "none.json")])
+    outcome = invoke(*opened, tmp_path / "none.json")
     assert outcome.exit_code == 1
     assert "softarm blind make" in outcome.output
