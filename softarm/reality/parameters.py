@@ -77,6 +77,8 @@ class Arm(Checked):
     creep_s: float = quantity(5.0, "s", 0.1, 300, "time constant of creep")
     softening: float = quantity(0.0, "-", -0.7, 0.7, "K x (1 - this x (1 - exp(-t/softening_s))): warming up")
     softening_s: float = quantity(30.0, "s", 1, 3600, "time constant of softening")
+    fatigue: float = quantity(0.0, "-", -0.7, 0.7, "muscle's torque x (1 - this x (1 - exp(-t/fatigue_s)))")
+    fatigue_s: float = quantity(30.0, "s", 1, 3600, "time constant of fatigue")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

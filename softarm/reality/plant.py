@@ -114,6 +114,8 @@ class Plant:
     def _torques(self, pressure_kpa: float) -> Array:
         arm, angles = self._arm, self.data.qpos[1:]
         effective = self._effective_pressure(pressure_kpa)
+        if arm.fatigue:
+            effective *= 1 - arm.fatigue * (1 - math.exp(-self.data.time / arm.fatigue_s))
         torques = -effective * self._muscle - self._offset
         if arm.stiffening_1_rad2:
             torques -= self._cubic * angles**3

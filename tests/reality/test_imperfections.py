@@ -61,6 +61,8 @@ EXEMPLARS: dict[str, tuple[float, dict[str, float]]] = {
     "arm.creep_s": (0.3, {"creep": 0.5}),
     "arm.softening": (0.4, {"softening_s": 1.0}),
     "arm.softening_s": (2.0, {"softening": 0.4}),
+    "arm.fatigue": (0.4, {"fatigue_s": 1.0}),
+    "arm.fatigue_s": (2.0, {"fatigue": 0.4}),
     "mocap.rate_hz": (60.0, {}),
     "mocap.noise_m": (0.002, {}),
     "mocap.angle_noise_rad": (0.01, {}),

@@ -13,18 +13,9 @@ from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
 
 T = TypeVar("T")
-# half: one cause at half strength; uneven: two causes, one of them at half strength.
-Kind = Literal["single", "half", "two", "uneven", "three", "none", "unknown"]
-SHARES: dict[Kind, float] = {
-    "single": 0.20,
-    "half": 0.15,
-    "two": 0.08,
-    "uneven": 0.06,
-    "three": 0.06,
-    "none": 0.15,
-    "unknown": 0.30,
-}
-_TOGETHER: dict[Kind, int] = {"two": 2, "uneven": 2, "three": 3}
+Kind = Literal["single", "two", "three", "none", "unknown"]
+SHARES: dict[Kind, float] = {"single": 0.40, "two": 0.14, "three": 0.06, "none": 0.20, "unknown": 0.20}
+_TOGETHER: dict[Kind, int] = {"two": 2, "three": 3}
 
 PROGRAMME = (
     "seed",
@@ -77,7 +68,6 @@ class Case:
                 "name": c.name,
                 "stage": c.stage,
                 "removed": c.removed,
-                "half": c.half,
                 "settings": dict(c.settings),
             }
             for c in self.causes
@@ -115,32 +105,23 @@ def _plan(count: int, random: np.random.Generator) -> Iterator[Wanted]:
     wanted = counts(count)
     unknowns = _in_turn([UNKNOWN + name for name in UNKNOWNS], random)
     singles = _in_turn(SINGLES, random)
-    # Removed effects have no half strength.
-    halves = _in_turn([each for each in SINGLES if not each[1]], random)
     for _ in range(wanted["single"]):
         yield "single", (next(singles),)
-    for _ in range(wanted["half"]):
-        yield "half", (next(halves),)
     several = _in_turn(SINGLES, random)
     for kind, together in _TOGETHER.items():
         for _ in range(wanted[kind]):
-            yield kind, _apart(several, together, known_last=kind == "uneven")
+            yield kind, _apart(several, together)
     for _ in range(wanted["none"]):
         yield "none", ()
     for _ in range(wanted["unknown"]):
         yield "unknown", ((next(unknowns), False),)
 
 
-def _apart(causes: Iterator[tuple[str, bool]], together: int, known_last: bool) -> tuple[tuple[str, bool], ...]:
-    """Next causes that are not rivals of each other; with `known_last`, the last one is not a removed effect."""
+def _apart(causes: Iterator[tuple[str, bool]], together: int) -> tuple[tuple[str, bool], ...]:
+    """Next causes that are not rivals of each other."""
     chosen = [next(causes)]
     while len(chosen) < together:
-        last = known_last and len(chosen) == together - 1
-        chosen.append(
-            next(
-                each for each in causes if all(separable(one[0], each[0]) for one in chosen) and not (last and each[1])
-            )
-        )
+        chosen.append(next(each for each in causes if all(separable(one[0], each[0]) for one in chosen)))
     return tuple(chosen)
 
 
@@ -159,9 +140,8 @@ def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
 def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.random.Generator) -> Case:
     robot = draw_nuisances(RobotParameters(), random)
     causes = []
-    for place, (effect, removed) in enumerate(wanted, 1):
-        half = kind == "half" or (kind == "uneven" and place == len(wanted))
-        robot, cause = draw_cause(robot, effect, removed, random, half)
+    for effect, removed in wanted:
+        robot, cause = draw_cause(robot, effect, removed, random)
         causes.append(cause)
     effects = {n: p for n, p in Model().effects.items() if not any(c.removed and c.name == n for c in causes)}
     model = Model().model_copy(update={"effects": effects})

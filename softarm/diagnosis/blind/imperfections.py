@@ -1,11 +1,10 @@
 """Tables of the benchmark's causes with their strengths, and of the nuisances of every robot.
 
 A cause has the name of its effect in the registry, or `unknown.NAME` without one. Its magnitude is drawn log-uniformly
-between clearly stronger than the nuisances (docs/evidence/blind.md) and strong. A cause that can occur in several forms
-(a lag in filling, in venting or in both) has a variant for each.
+between the detection limit (docs/evidence/blind.md) and strong. A cause that can occur in several forms (a lag in
+filling, in venting or in both) has a variant for each.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,15 +27,18 @@ class Knob:
     high: float
     how: Literal["set", "add", "times"] = "set"
     either_way: bool = False  # the opposite sign, or for `times` the inverse, is equally likely
-    limit: bool = False  # a limit: strong if its value is small
-    rest: float = 0.0  # value without an effect; only for `set`
-    shape: bool = False  # changes the form, not the strength
     also: str = ""  # second parameter that gets the same value
+    limit: bool = False  # strong if its value is small
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Parameters that get the value."""
         return (self.path, self.also) if self.also else (self.path,)
+
+    @property
+    def weakest(self) -> float:
+        """Value of the weakest cause."""
+        return self.high if self.limit else self.low
 
     def draw(self, random: np.random.Generator) -> float:
         """Draw a value log-uniformly between low and high, in the parameter's unit."""
@@ -45,66 +47,85 @@ class Knob:
             return 1 / value if self.how == "times" else -value
         return value
 
-    def halved(self, value: float) -> float:
-        """Return the value of half strength: halfway to no effect, for a limit by its inverse."""
-        if self.shape:
-            return value
-        if self.limit:
-            return 2 / (1 / value + 1 / self.rest)
-        return float(np.sqrt(value)) if self.how == "times" else (value + self.rest) / 2
-
 
 Variant = tuple[Knob, ...]
-_limit = partial(Knob, limit=True, rest=math.inf)
 _add = partial(Knob, how="add")
+_limit = partial(Knob, limit=True)
 _either = partial(Knob, how="add", either_way=True)
 _scale = partial(Knob, how="times", either_way=True)
 
-_NOMINAL = RobotParameters()
-# Largest commanded pressure.
-_PRESSED_KPA = 20.0
-# Force that the nominal ramp needs.
-_PUSHED_N = _NOMINAL.rail.acceleration_m_s2 * (_NOMINAL.cart.mass_kg + sum(_NOMINAL.body.link_mass_kg))
 _FILL, _VENT = "regulator.inflate_s", "regulator.deflate_s"
 
 # Effect -> its variants.
 KNOWN: dict[str, tuple[Variant, ...]] = {
-    "pressure.lag": ((_scale(_FILL, 1.35, 2.2),), (_scale(_VENT, 1.35, 2.2),), (_scale(_FILL, 1.35, 2.2, also=_VENT),)),
-    "pressure.dead_time": ((Knob("regulator.dead_time_s", 0.025, 0.080),),),
+    "pressure.lag": ((_scale(_FILL, 1.2, 2.2),), (_scale(_VENT, 1.2, 2.2),), (_scale(_FILL, 1.2, 2.2, also=_VENT),)),
+    "pressure.dead_time": ((Knob("regulator.dead_time_s", 0.008, 0.080),),),
     "pressure.rate_limit": ((_limit("regulator.flow_limit_kpa_s", 20.0, 45.0),),),
-    "pressure.deadband": ((Knob("regulator.deadband_kpa", 1.0, 2.5),),),
-    "pressure.gain": ((_either("regulator.gain", 0.06, 0.15),), (_either("regulator.offset_kpa", 0.5, 1.2),)),
-    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, rest=_PRESSED_KPA),),),
-    "pressure.leak": ((Knob("regulator.leak_1_s", 0.4, 1.2),),),
-    "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.5, 1.5),),),
-    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, rest=_NOMINAL.rail.acceleration_m_s2),),),
-    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2, rest=_PUSHED_N),),),
-    "rail.delay": ((_add("rail.delay_s", 0.020, 0.060),),),
-    "rail.lag": ((Knob("rail.lag_s", 0.025, 0.080),),),
-    "rail.gain": ((_either("rail.feed_error", 0.03, 0.08),),),
-    "rail.coulomb_friction": ((Knob("rail.coulomb_n", 1.5, 5.0),),),
-    "rail.backlash": ((Knob("rail.backlash_m", 0.002, 0.006),),),
+    "pressure.deadband": ((Knob("regulator.deadband_kpa", 0.5, 2.5),),),
+    "pressure.gain": ((_either("regulator.gain", 0.04, 0.15),), (_either("regulator.offset_kpa", 0.3, 1.2),)),
+    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 17.5),),),
+    "pressure.leak": ((Knob("regulator.leak_1_s", 0.15, 1.2),),),
+    "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.3, 1.5),),),
+    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.2),),),
+    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2),),),
+    "rail.delay": ((_add("rail.delay_s", 0.012, 0.060),),),
+    "rail.lag": ((Knob("rail.lag_s", 0.015, 0.080),),),
+    "rail.gain": ((_either("rail.feed_error", 0.018, 0.08),),),
+    "rail.coulomb_friction": ((Knob("rail.coulomb_n", 0.5, 5.0),),),
+    "rail.backlash": ((Knob("rail.backlash_m", 0.0012, 0.006),),),
     "arm.stiffness": ((_either("arm.stiffness", 0.12, 0.40),),),
     "arm.damping": ((_add("arm.damping", 0.5, 1.5),),),
     "arm.muscle_gain": ((_either("arm.muscle_gain", 0.10, 0.30),),),
     "arm.torque_offset": ((_either("arm.torque_offset", 0.8, 2.0),),),
-    "arm.coulomb_friction": ((Knob("arm.friction_nm", 0.006, 0.030),),),
-    "arm.stiffening": ((Knob("arm.stiffening_1_rad2", 2.5, 4.5),),),
-    "arm.hysteresis": ((Knob("arm.hysteresis", 0.3, 0.5), Knob("arm.hysteresis_kpa", 6.0, 12.0, shape=True)),),
+    "arm.coulomb_friction": ((Knob("arm.friction_nm", 0.002, 0.030),),),
+    "arm.stiffening": ((Knob("arm.stiffening_1_rad2", 0.8, 4.5),),),
+    "arm.hysteresis": ((Knob("arm.hysteresis", 0.3, 0.5), Knob("arm.hysteresis_kpa", 6.0, 12.0)),),
     "arm.muscle_saturation": ((_limit("arm.saturation_kpa", 12.0, 25.0),),),
-    "arm.payload": ((Knob("arm.payload_kg", 0.010, 0.060),),),
+    "arm.payload": ((Knob("arm.payload_kg", 0.007, 0.060),),),
     "arm.tilt": ((_either("arm.tilt_rad", 0.020, 0.060),),),
-    "arm.drag": ((Knob("arm.air_kg_m3", 5.0, 15.0),),),
-    "arm.creep": ((Knob("arm.creep", 0.15, 0.5), Knob("arm.creep_s", 1.0, 5.0, shape=True)),),
-    "mocap.latency": ((Knob("mocap.latency_s", 0.010, 0.050),),),
+    "arm.drag": ((Knob("arm.air_kg_m3", 3.0, 15.0),),),
+    "arm.creep": ((Knob("arm.creep", 0.15, 0.5), Knob("arm.creep_s", 1.0, 5.0)),),
+    "mocap.latency": ((Knob("mocap.latency_s", 0.006, 0.050),),),
     "mocap.dropout": ((Knob("mocap.dropout", 0.05, 0.30),),),
     "mocap.rotation": ((_either("mocap.rotation_rad", 0.010, 0.050),),),
-    "mocap.scale": ((_either("mocap.scale", 0.01, 0.04),),),
-    "mocap.offset": ((_either("mocap.offset_y_m", 0.005, 0.020),), (_either("mocap.offset_z_m", 0.005, 0.020),)),
-    "mocap.noise": ((Knob("mocap.noise_m", 0.001, 0.004, rest=_NOMINAL.mocap.noise_m),),),
+    "mocap.scale": ((_either("mocap.scale", 0.003, 0.04),),),
+    "mocap.offset": ((_either("mocap.offset_y_m", 0.002, 0.020),), (_either("mocap.offset_z_m", 0.002, 0.020),)),
+    "mocap.noise": ((Knob("mocap.noise_m", 0.001, 0.004),),),
     "clock.jitter": ((Knob("clock.tick_jitter_s", 0.002, 0.008),),),
     "clock.missed_ticks": ((Knob("clock.missed_ticks", 0.03, 0.15),),),
     "clock.drift": ((_either("clock.camera_drift", 0.001, 0.004),),),
+}
+
+# Parameter of the independent robot -> parameter of the registry with the same meaning; other laws have none.
+SAME_SIZE = {
+    _FILL: "pressure.lag.inflate",
+    _VENT: "pressure.lag.deflate",
+    "regulator.dead_time_s": "pressure.dead_time.delay",
+    "regulator.flow_limit_kpa_s": "pressure.rate_limit.rate",
+    "regulator.deadband_kpa": "pressure.deadband.width",
+    "regulator.gain": "pressure.gain.scale",
+    "regulator.offset_kpa": "pressure.gain.offset",
+    "regulator.ceiling_kpa": "pressure.ceiling.limit",
+    "regulator.leak_1_s": "pressure.leak.rate",
+    "pressure_sensor.bias_kpa": "pressure.sensor_bias.bias",
+    "rail.acceleration_m_s2": "rail.acceleration_limit.acceleration",
+    "rail.force_limit_n": "rail.force_limit.force",
+    "rail.delay_s": "rail.delay.delay",
+    "rail.lag_s": "rail.lag.time",
+    "rail.feed_error": "rail.gain.scale",
+    "rail.coulomb_n": "rail.coulomb_friction.force",
+    "rail.backlash_m": "rail.backlash.gap",
+    "arm.stiffness": "arm.stiffness.scale",
+    "arm.damping": "arm.damping.scale",
+    "arm.muscle_gain": "arm.muscle_gain.scale",
+    "arm.torque_offset": "arm.torque_offset.scale",
+    "arm.payload_kg": "arm.payload.mass",
+    "mocap.latency_s": "mocap.latency.delay",
+    "mocap.rotation_rad": "mocap.rotation.angle",
+    "mocap.scale": "mocap.scale.scale",
+    "mocap.offset_y_m": "mocap.offset.y",
+    "mocap.offset_z_m": "mocap.offset.z",
+    "clock.camera_drift": "clock.drift.rate",
 }
 
 # Effects of the seed model that can be removed from the model file.
@@ -123,6 +144,7 @@ UNKNOWNS: dict[str, tuple[Variant, ...]] = {
     "gear_ripple": ((Knob("rail.ripple_n", 2.5, 8.0), Knob("rail.ripple_period_m", 0.02, 0.06)),),
     "loose_marker": tuple((Knob("mocap.loose_link", link, link), *_WOBBLE) for link in (2, 3, 4, 5)),
     "warming_up": ((_either("arm.softening", 0.2, 0.5), Knob("arm.softening_s", 3.0, 12.0)),),
+    "tiring_muscle": ((_either("arm.fatigue", 0.15, 0.4), Knob("arm.fatigue_s", 3.0, 12.0)),),
     "coarse_gauge": ((Knob("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
 }
 _STAGE_OF_GROUP = {"regulator": "pressure", "pressure_sensor": "pressure"}  # of others, the group's own name
@@ -135,7 +157,6 @@ class Cause:
     name: str  # name in the registry, or UNKNOWN + a name of UNKNOWNS
     removed: bool  # removed from the model file; the robot is unchanged
     settings: Mapping[str, float]  # parameter of the independent robot -> its value
-    half: bool = False  # at half strength
 
     @property
     def stage(self) -> str:
@@ -152,18 +173,16 @@ def stage_of(name: str) -> str:
 
 
 def draw_cause(
-    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator, half: bool = False
+    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator
 ) -> tuple[RobotParameters, Cause]:
-    """Return a robot with one random cause, at half strength if `half`; `removed` causes leave it unchanged."""
+    """Return a robot with one random cause; `removed` causes leave it unchanged."""
     if removed:
         return robot, Cause(name, True, {})
     variants = variants_of(name)
     variant = variants[random.integers(len(variants))]
     values = [knob.draw(random) for knob in variant]
-    if half:
-        values = [knob.halved(value) for knob, value in zip(variant, values, strict=True)]
     robot, settings = given(robot, variant, values)
-    return robot, Cause(name, False, settings, half)
+    return robot, Cause(name, False, settings)
 
 
 def variants_of(name: str) -> tuple[Variant, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from softarm.diagnosis.blind import pages, run, seal
+from softarm.diagnosis.blind.imperfections import SAME_SIZE
 from softarm.diagnosis.blind.score import Scored, score
 from softarm.diagnosis.data import read
 from softarm.diagnosis.robot.shrink import measure_shrink
@@ -96,6 +97,7 @@ def _scored(labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None,
                 verdict,
                 answer["failure"],
                 shrink,
+                {SAME_SIZE[path]: x for c in causes for path, x in c["settings"].items() if path in SAME_SIZE},
             )
         )
         on_case(answer["case"], number, len(answers))

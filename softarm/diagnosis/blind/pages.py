@@ -33,7 +33,8 @@ def measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         yield f"| {name} | " + " | ".join(_share(method["measures"][name]) for method in methods.values()) + " |"
     for name in first["coverage"]:
         cells = (_share(method["coverage"][name]) for method in methods.values())
-        yield f"| 95 % interval of the shrink holds, {name} | " + " | ".join(cells) + " |"
+        what = "a size holds" if name == "size" else f"the shrink holds, {name}"
+        yield f"| 95 % interval of {what} | " + " | ".join(cells) + " |"
     cells = (_number(method["calibration"]["ece"], ".3f") for method in methods.values())
     yield "| calibration error (ECE) | " + " | ".join(cells) + " |"
     for name in ("median", "worst"):

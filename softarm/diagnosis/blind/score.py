@@ -6,12 +6,12 @@ defines the measures. Answers about rigs give one outcome for each case (docs/ev
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 from statistics import median
 from typing import Any, Final, Literal, get_args
 
-from softarm.schemas.verdict import NamedEffect, Verdict
+from softarm.schemas.verdict import Interval, NamedEffect, Verdict
 
 BINS = 10
 _Z95 = 1.959964
@@ -30,6 +30,9 @@ class Scored:
     verdict: Verdict | None  # None if the tool failed
     failure: str = ""
     measured_shrink: Mapping[str, float] | None = None  # by stage and for `chain`, on fresh trials; None: not measured
+    sizes: Mapping[str, float] = field(
+        default_factory=dict
+    )  # true parameters of the registry, `stage.effect.parameter`
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
@@ -81,16 +84,14 @@ def share(hits: Iterable[bool]) -> dict[str, float | int | None]:
     return {"share": p, "low": low, "high": high, "hits": k, "of": n}
 
 
-ALONE, SEVERAL = ("single", "half"), ("two", "uneven", "three")
+ALONE, SEVERAL = ("single",), ("two", "three")
 _SAID: dict[str, Callable[[Scored], bool]] = {
     "exact": lambda s: sorted(s.names) == sorted(s.causes),
     "exact or in sets of two": lambda s: s.exact_or_set,
 }
 _TITLES = {
     "single": "single",
-    "half": "single at half strength",
     "two": "two",
-    "uneven": "two, the second at half strength",
     "three": "three",
 }
 # Measure -> the kinds of case that it covers, and whether a case is a hit.
@@ -134,12 +135,12 @@ def score(cases: Sequence[Scored]) -> dict[str, Any]:
 def by_cause(cases: Sequence[Scored]) -> dict[str, dict[str, float | int | None]]:
     """Return the share of right answers for each single cause.
 
-    ' (removed)' marks causes that were removed from the model file, ' (half)' those of half strength.
+    ' (removed)' marks causes that were removed from the model file.
     """
     hits: dict[str, list[bool]] = {}
     for case in cases:
         if case.kind in (*ALONE, "unknown"):
-            name = case.causes[0] + (" (removed)" if case.removed[0] else " (half)" if case.kind == "half" else "")
+            name = case.causes[0] + (" (removed)" if case.removed[0] else "")
             hits.setdefault(name, []).append(case.right)
     return {name: share(hits[name]) for name in sorted(hits)}
 
@@ -170,9 +171,16 @@ def coverage(cases: Sequence[Scored]) -> dict[str, Any]:
 
     An effect's interval is conditional on the others, so only effects alone in their stage count; for `chain`, only
     single effects. `width` is the median width of an interval, `bias` the mean of measured minus predicted shrink.
+    `size` counts the parameters of rightly named effects whose true values are known; its width and bias are relative.
     """
-    stage, chain = [], []
+    stage, chain, size = [], [], []
     for case in cases:
+        for effect in case.effects:
+            for name, estimate in effect.parameters.items():
+                true = case.sizes.get(f"{effect.name}.{name}")
+                if true:
+                    low, value, high = (x / true for x in (estimate.low, estimate.value, estimate.high))
+                    size.append((Interval(value=value, low=min(low, high), high=max(low, high)), 1.0))
         if case.measured_shrink is None:
             continue
         for effect in case.effects:
@@ -183,7 +191,7 @@ def coverage(cases: Sequence[Scored]) -> dict[str, Any]:
             if effect.shrink.chain and len(case.names) == 1 and "chain" in case.measured_shrink:
                 chain.append((effect.shrink.chain, case.measured_shrink["chain"]))
     found = {}
-    for name, pairs in (("stage", stage), ("chain", chain)):
+    for name, pairs in (("stage", stage), ("chain", chain), ("size", size)):
         widths = sorted(interval.high - interval.low for interval, _ in pairs)
         found[name] = {
             **share(interval.low <= value <= interval.high for interval, value in pairs),

@@ -108,7 +108,7 @@ def jobs() -> Iterator[tuple[str, Variant]]:
 
 def _fly_weakest(job: tuple[str, Variant]) -> dict[str, Signals]:
     name, variant = job
-    robot, _ = given(_healthy(_SEED), variant, [knob.low for knob in variant])
+    robot, _ = given(_healthy(_SEED), variant, [knob.weakest for knob in variant])
     return fly(robot, stage_of(name))
 
 

@@ -199,8 +199,11 @@ class Search:
         return self.is_large(fit) and resolved and not fit.at_bound
 
     def is_large(self, fit: Fit) -> bool:
-        """Return whether every effect exceeds its tolerance, or is missing in the model if noise sets the limit."""
-        by_noise = np.isfinite(self.thresholds.gain.resolved_min)
+        """Return whether every effect exceeds its tolerance, or the only effect is missing in the model.
+
+        Next to another effect, whose law is not exact, a change within tolerance may correct that law.
+        """
+        by_noise = len(fit.effects) == 1 and np.isfinite(self.thresholds.gain.resolved_min)
         pairs = zip(fit.effects, fit.u, strict=True)
         return all(each.exceeds_tolerance(u) or (by_noise and each.is_missing) for each, u in pairs)
 

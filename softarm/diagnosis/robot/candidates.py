@@ -39,7 +39,7 @@ _TOLERANCE = {
     "rail.lag.time": 0.010,
     "rail.coulomb_friction.force": 0.4,
     "rail.backlash.gap": 0.0008,
-    "arm.stiffness.scale": 0.065,
+    "arm.stiffness.scale": 0.075,  # 2 % of independent robots with constants off by 1 to 3 % exceed 0.065
     "arm.damping.scale": 0.22,
     "arm.muscle_gain.scale": 0.048,
     "arm.torque_offset.scale": 0.25,

@@ -196,6 +196,7 @@ def test_an_effect_that_the_model_lacks_is_named_within_its_tolerance_if_noise_r
     assert not search.is_nameable(fit(calibrated), clear)
     assert search.is_nameable(fit(PAYLOAD), replace(clear, value=20.0))
     assert not Energies(RIG).is_nameable(fit(missing), clear)
+    assert not search.is_nameable(fit(PAYLOAD, missing), clear)  # next to another effect
 
 
 @pytest.mark.parametrize("name", PROBES)
