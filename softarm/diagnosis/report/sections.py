@@ -61,7 +61,9 @@ def _card(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
     codes = listed((effect.name, *effect.equivalents), "or")
     place = effect.name.rpartition(".")[0]
     takes = f"takes {percents(effect.shrink.stage)} of the {place} gap"
-    takes += f", {percents(effect.shrink.chain)} of the tip's" if effect.shrink.chain else ""
+    tip, at_tip = diagnosis.verdict.gap.before.get("chain"), effect.shrink.chain
+    if tip is not None and at_tip is not None:
+        takes += f", {percents(at_tip)} of the tip's ({quantity(at_tip.value * tip.value, tip.unit)})"
     sure = NOT_RATED if effect.confidence is None else percent(effect.confidence)
     facts = (prose(codes), sizes(effect), takes, f"confidence: {sure}")
     return el(
