@@ -45,7 +45,7 @@ def test_a_valid_file_has_no_problem_and_the_check_leaves_no_files(look, tmp_pat
 
 @pytest.mark.parametrize("key", ["port", "stop_port"])
 def test_a_port_in_use_is_reported_with_its_process(look, tmp_path, taken, key):
-    other = "" if key == "port" else "port: 0, "
+    other = "stop_port: 0, " if key == "port" else "port: 0, "
     found = look(f"recorder: {{directory: {tmp_path}/logs}}\napi: {{{other}{key}: {taken}}}\n")
     line = f"{tmp_path}/arm.yaml:2: api.host 127.0.0.1, api.{key} {taken}: cannot listen there, process {os.getpid()} ("
     assert [problem.startswith(line) for problem in found.problems] == [True]
