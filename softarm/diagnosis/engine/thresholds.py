@@ -34,7 +34,7 @@ class GainRule:
     # must be a visible part of the residual and beyond doubt.
     visible: tuple[tuple[float, float, float], ...] = ((0.10, 0.30, 0.0), (0.20, 0.10, 0.0), (0.10, 0.05, 10.0))
     # Held-out gain from which a visible share is enough, whatever its energy, and from which an effect that the model
-    # lacks is named within its tolerance. Sixty healthy robots reach 29, by the lag of a tube (docs/evidence/blind.md).
+    # lacks is named within its tolerance. Sixty healthy robots reach 29, by the lag of a tube.
     resolved_min: float = 40.0
     # Next to another effect: share of the whole gap's energy, or share of the energy that the other leaves. A
     # correction to another effect's law is no effect.

@@ -44,6 +44,8 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView]] = {
     "chain": ChainView,
 }
 
+# Windows in which small errors grow too much are halved at most so many times.
+HALVINGS = 3
 # Shares of a stage's time at which its search begins and ends.
 BEGUN, SEARCHED = 0.05, 0.9
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
@@ -147,10 +149,13 @@ def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[
     """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from."""
     kind = VIEWS[stage_of(trials).kind]
     found = Stretches(tuple(trials), tuple(range(len(trials)))).windows(kind.windows)
-    if issubclass(kind, ChainView):
-        parts, origins = kind.stable_windows(found.trials)
-        found = Stretches(parts, tuple(found.origins[i] for i in origins))
-    return kind(found.trials), found.trials, found.origins
+    view: RigView = kind(found.trials)
+    for times in range(1, HALVINGS + 1):
+        if not view.growing:
+            break
+        found = found.halved(view, times)
+        view = kind(found.trials)
+    return view, found.trials, found.origins
 
 
 def examine(

@@ -39,6 +39,16 @@ class Stretches:
         pairs = [(part, k) for trial, k in zip(self.trials, self.origins, strict=True) for part in windows(trial)]
         return Stretches(tuple(part for part, _ in pairs), tuple(k for _, k in pairs))
 
+    def halved(self, view: RigView, times: int) -> "Stretches":
+        """Return the stretches with those of a view halved in which small errors grow too much."""
+        growing = view.growing
+        parts = [
+            (part, k)
+            for i, (trial, k) in enumerate(zip(self.trials, self.origins, strict=True))
+            for part in (view.halves(i, times) if i in growing else (trial,))
+        ]
+        return Stretches(tuple(part for part, _ in parts), tuple(k for _, k in parts))
+
     def part(self, kept: Sequence[int]) -> "Stretches":
         """Return some of the stretches, in their order."""
         return Stretches(tuple(self.trials[i] for i in kept), tuple(self.origins[i] for i in kept))

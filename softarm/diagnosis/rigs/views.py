@@ -100,9 +100,9 @@ class RigView:
         self.t_s: Array = np.concatenate(t_s)
         self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
         self.measured: Array = np.concatenate(measured)
-        # Within the windows: a link that turns over and over moves by many turns, and its swing is one of them.
-        middle = np.stack([np.nanmean(x, axis=0) for x in measured])[self.trial] if self.fits_starts else None
-        middle = np.nanmean(self.measured, axis=0) if middle is None else middle
+        middle = np.nanmean(self.measured, axis=0)
+        if self.fits_starts:  # a link that turns over and over moves by many turns, and its swing is one of them
+            middle = np.stack([np.nanmean(x, axis=0) for x in measured])[self.trial]
         swing = np.sqrt(np.nanmean((self.measured - middle) ** 2, axis=0))
         self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
         self.noise: Array = np.zeros(len(channels))
@@ -113,6 +113,15 @@ class RigView:
     def windows(cls, trial: Trial) -> tuple[Trial, ...]:
         """Cut a trial into the windows that the view is made of; the start of each window is fitted."""
         return (trial,)
+
+    @property
+    def growing(self) -> frozenset[int]:
+        """Windows in which small errors grow too much; they are halved."""
+        return frozenset()
+
+    def halves(self, number: int, times: int) -> tuple[Trial, ...]:
+        """Return a window cut into halves; times: how often its trial's windows were halved, with this one."""
+        raise NotImplementedError
 
     @property
     def rollout_s(self) -> float:

@@ -38,9 +38,9 @@ GUESS_PERIODS = 0.2
 GUESS_SAMPLES, GUESS_FLOORS = 5, 2.0
 # A window is unstable if the edge of a tolerance moves it by this share of its swing and by this many noise floors.
 UNSTABLE_SHARE, UNSTABLE_FLOORS = 0.3, 20.0
-# A window in which an error of its start grows by more than this factor is halved, at most so many times. Errors grow
-# 1.0 to 3.1 times in a swing below the horizontal, and up to 240 times over the top.
-GROWTH_MOST, HALVINGS = 4.0, 3
+# A window in which an error of its start grows by more than this factor is halved. Errors grow 1.0 to 3.1 times in a
+# swing below the horizontal, and up to 240 times over the top.
+GROWTH_MOST = 4.0
 # Share of a joint's usual rate below which it counts as at rest.
 STILL_SHARE = 0.04
 # Uncertainty of a guessed start, as shares of the usual angle and rate.
@@ -107,23 +107,6 @@ class ChainView(RigView):
         free = chain.n == 1 and "torque" not in trial.channels
         return _cut(trial, (WINDOW_PERIODS_FREE if free else WINDOW_PERIODS) * slowest, MARGIN_PERIODS * slowest)
 
-    @classmethod
-    def stable_windows(cls, trials: Sequence[Trial]) -> tuple[tuple[Trial, ...], tuple[int, ...]]:
-        """Halve the windows in which small errors grow too much; return the windows and the trial of each."""
-        chain, parts, origins = chain_of(stage_of(trials)), tuple(trials), tuple(range(len(trials)))
-        _, slowest = _periods(chain, trials)
-        for k in range(1, HALVINGS + 1):
-            growing = cls(parts).growth > GROWTH_MOST
-            if not growing.any():
-                break
-            cut = []
-            for i, part in enumerate(parts):
-                t = part.channels["measured"].t_s
-                halves = _cut(part, float(t[-1] - t[0]) / 2, MARGIN_PERIODS * slowest / 2**k) if growing[i] else (part,)
-                cut += [(half, origins[i]) for half in halves]
-            parts, origins = tuple(half for half, _ in cut), tuple(origin for _, origin in cut)
-        return parts, origins
-
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about windows that are left out."""
@@ -189,6 +172,18 @@ class ChainView(RigView):
     def growth(self) -> Array:
         """Factor by which an error of an angle at a window's start grows at most within the window, [W]."""
         return self._shooting.growth(self._law({}), self._torques(0.0))
+
+    @property
+    def growing(self) -> frozenset[int]:
+        """Windows in which small errors grow too much."""
+        return frozenset(np.flatnonzero(self.growth > GROWTH_MOST).tolist())
+
+    def halves(self, number: int, times: int) -> tuple[Trial, ...]:
+        """Return a window cut into halves, the margins around them shorter each time."""
+        trial = self._trials[number]
+        t = trial.channels["measured"].t_s
+        _, slowest = _periods(self._chain, self._trials)
+        return _cut(trial, float(t[-1] - t[0]) / 2, MARGIN_PERIODS * slowest / 2**times)
 
     @property
     def tolerances(self) -> Mapping[str, float]:
