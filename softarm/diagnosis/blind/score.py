@@ -30,9 +30,8 @@ class Scored:
     verdict: Verdict | None  # None if the tool failed
     failure: str = ""
     measured_shrink: Mapping[str, float] | None = None  # by stage and for `chain`, on fresh trials; None: not measured
-    sizes: Mapping[str, float] = field(
-        default_factory=dict
-    )  # true parameters of the registry, `stage.effect.parameter`
+    # True parameters of the registry, `stage.effect.parameter` -> value.
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
@@ -89,17 +88,12 @@ _SAID: dict[str, Callable[[Scored], bool]] = {
     "exact": lambda s: sorted(s.names) == sorted(s.causes),
     "exact or in sets of two": lambda s: s.exact_or_set,
 }
-_TITLES = {
-    "single": "single",
-    "two": "two",
-    "three": "three",
-}
 # Measure -> the kinds of case that it covers, and whether a case is a hit.
 MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
     "right in all": ((*ALONE, *SEVERAL, "none", "unknown"), lambda s: s.right),
     "right stage": ((*ALONE, *SEVERAL, "unknown"), lambda s: s.right_stage),
     "right stage, single": (("single",), lambda s: s.right_stage),
-    **{f"{title}, {said}": ((kind,), hit) for kind, title in _TITLES.items() for said, hit in _SAID.items()},
+    **{f"{kind}, {said}": ((kind,), hit) for kind in (*ALONE, *SEVERAL) for said, hit in _SAID.items()},
     "single, named first": (("single",), lambda s: bool(s.names) and s.names[0] in s.causes),
     "two or three, at least one": (SEVERAL, lambda s: any(name in s.causes for name in s.names)),
     "known, a wrong name beside": (

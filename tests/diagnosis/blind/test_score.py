@@ -1,5 +1,7 @@
 """Measures of the sealed benchmark on small cases that are counted by hand."""
 
+from dataclasses import replace
+
 import pytest
 
 from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
@@ -109,3 +111,13 @@ def test_coverage_counts_effects_alone_in_their_stage():
     assert (found["chain"]["hits"], found["chain"]["of"]) == (0, 1)
     assert found["chain"]["bias"] == pytest.approx(0.15)
     assert found["stage"]["width"] == pytest.approx(0.2)
+
+
+def test_an_interval_of_a_size_holds_the_true_one_of_the_named_effect_alone():
+    true = {"rail.gain.scale": -0.05, "rail.lag.time": 0.02}
+    inside = effect("rail.gain", scale=(-0.055, -0.06, -0.04, "-"))
+    beside = effect("rail.lag", time=(0.03, 0.025, 0.035, "s"), other=(1.0, 0.9, 1.1, "-"))
+    cases = [replace(case("two", ["rail.gain", "rail.lag"], inside, beside), sizes=true)]
+    found = coverage([*cases, case("single", ["rail.gain"], inside)])["size"]
+    assert (found["hits"], found["of"]) == (1, 2)
+    assert found["bias"] == pytest.approx(((1 - 1.1) + (1 - 1.5)) / 2)
