@@ -32,8 +32,8 @@ def taken():
         yield listener.getsockname()[1]
 
 
-def where(tmp_path, port=0):
-    return f"api: {{port: {port}}}\nrecorder: {{directory: {tmp_path}/logs}}\n"
+def where(tmp_path):
+    return f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}/logs}}\n"
 
 
 def test_a_valid_file_has_no_problem_and_the_check_leaves_no_files(look, tmp_path):
@@ -53,14 +53,16 @@ def test_a_port_in_use_is_reported_with_its_process(look, tmp_path, taken, key):
 
 
 def test_checking_a_port_leaves_it_free(look, tmp_path):
-    with socket.socket() as one:
+    with socket.socket() as one, socket.socket() as other:
         one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
+        other.bind(("127.0.0.1", 0))
+        port, stop_port = one.getsockname()[1], other.getsockname()[1]
+    text = f"recorder: {{directory: {tmp_path}/logs}}\napi: {{port: {port}, stop_port: {stop_port}}}\n"
     failed = []
 
     def tries():
         for _ in range(15):
-            failed.extend(look(where(tmp_path, port), wires=False).problems)
+            failed.extend(look(text, wires=False).problems)
 
     threads = [threading.Thread(target=tries) for _ in range(2)]
     for thread in threads:
