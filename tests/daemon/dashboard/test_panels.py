@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from softarm.daemon.api.endpoints.files import REPLAY_S
+
 pytestmark = pytest.mark.slow
 
 FLIGHT = next((Path(__file__).parents[2] / "data").glob("*.mcap"))
@@ -88,7 +90,7 @@ def test_a_log_is_downloaded_replayed_and_deleted(page, daemon, flight, tmp_path
     download.value.save_as(tmp_path / "mine.mcap")
     assert (tmp_path / "mine.mcap").read_bytes() == flight.read_bytes()
     row.get_by_role("button", name="Replay").click()
-    row.locator("text=✓ Same commands").wait_for(timeout=60_000)
+    row.locator("text=✓ Same commands").wait_for(timeout=1000 * REPLAY_S)
     row.get_by_role("button", name="Delete").click()
     assert flight.exists()
     page.locator("#panel-logs-tab").focus()  # cancelled by moving the focus
@@ -103,10 +105,16 @@ def test_a_reload_of_the_list_leaves_unchanged_rows_in_the_page(page, flight):
     panel = tab(page, "logs")
     row = panel.locator("li", has_text="flight.mcap")
     row.evaluate("(row) => { row.kept = true; }")
-    panel.locator(".hint").evaluate("(hint) => { hint.textContent = 'not reloaded'; }")
+    newer = flight.with_name("newer.mcap")
+    shutil.copy(FLIGHT, newer)
     tab(page, "logs")
-    panel.locator(".hint", has_text="Folder").wait_for()
+    panel.locator("li", has_text="newer.mcap").wait_for()
+    newer.unlink()
+    assert panel.locator("li b").all_inner_texts().index("flight.mcap") > 0
     assert row.evaluate("(row) => row.kept")  # a click on a replaced row would be lost
+    tab(page, "logs")
+    panel.locator("li", has_text="newer.mcap").wait_for(state="detached")
+    assert row.evaluate("(row) => row.kept")
 
 
 def test_the_log_being_recorded_cannot_be_deleted(page, daemon):

@@ -29,15 +29,30 @@ export function render(node, key, make) {
   node.replaceChildren(...[make()].flat().filter(Boolean));
 }
 
-// Replace the children that differ. A click on an element that is replaced while the button is down is lost.
+// Replace the children that differ and keep the equal ones, also behind new ones. A click on an element that is replaced
+// while the button is down is lost.
 export function update(node, children) {
-  children.forEach((child, k) => {
-    const old = node.children[k];
-    if (!old) node.append(child);
-    else if (old.tagName === "UL" && child.tagName === "UL") update(old, [...child.children]);
-    else if (!old.isEqualNode(child)) old.replaceWith(child);
-  });
-  while (node.children.length > children.length) node.lastElementChild.remove();
+  let next = node.firstElementChild; // the first old child that is not yet placed
+  for (const child of children) {
+    let old = next;
+    while (old && !alike(old, child)) old = old.nextElementSibling;
+    if (!old) {
+      node.insertBefore(child, next);
+      continue;
+    }
+    if (old.tagName === "UL") update(old, [...child.children]);
+    while (next !== old) next = removed(next);
+    next = old.nextElementSibling;
+  }
+  while (next) next = removed(next);
+}
+
+const alike = (old, child) => (old.tagName === "UL" && child.tagName === "UL") || old.isEqualNode(child);
+
+function removed(node) {
+  const next = node.nextElementSibling;
+  node.remove();
+  return next;
 }
 
 export const finite = (value) => typeof value === "number" && Number.isFinite(value);
