@@ -47,7 +47,7 @@ async def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, unti
     [*((kind, 0x6041) for kind in BAD_ANSWERS), ("refused", 0x60FF), ("none", 0x60FF), ("busy", 0x6064)],
 )
 async def test_one_bad_answer_does_not_end_a_connection_in_motion(opened: Any, kind: str, index: int) -> None:
-    async with opened(timeout_s=0.3) as bench:
+    async with opened(timeout_s=1.0) as bench:
         await bench.enable(0.3)
         spoilt: list[int] = []
 
