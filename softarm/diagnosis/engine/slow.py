@@ -1,7 +1,8 @@
 """Slow changes: a fitted strength that drifts within the trials or from trial to trial.
 
 Warming, wear and fatigue change a parameter that the model holds constant. Each fitted parameter gets a linear change
-over time, and the change is judged like a further effect, on the linearisation of the fit, without any simulation.
+over time, or one that settles exponentially in every trial. The change is judged like a further effect, on the
+linearisation of the fit, without any simulation.
 """
 
 from collections.abc import Iterator
@@ -18,12 +19,13 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import blocks_of
 
 TRIALS_LEAST = 4  # recordings that can show a trend from trial to trial
+SETTLING = (0.06, 0.2)  # time constants of a settling change, in lengths of the longest trial
 RIDGE = 1e-9  # of the largest diagonal entry
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Linear change of a fit's unknowns over a clock that goes from -1 to 1."""
+    """Change of a fit's unknowns in proportion to a clock that goes from -1 to 1."""
 
     name: str  # of the parameter
     nuisance: bool
@@ -115,7 +117,7 @@ def slow_changes(setup: Setup, search: Search, fit: Fit) -> dict[str, Structure]
 
 
 def _options(setup: Setup, linear: Linear, fit: Fit) -> Iterator[Slow]:
-    """Yield a linear change of every fitted parameter, and of all joints together, over every clock."""
+    """Yield a change of every fitted parameter, and of all joints together, over every clock."""
     effects = [d.path for each in fit.effects for d in each.parameters]
     names = [*effects, *(path for path, *_ in setup.nuisance_scales())]
     directions: dict[tuple[str, bool], Array] = {}
@@ -132,7 +134,7 @@ def _options(setup: Setup, linear: Linear, fit: Fit) -> Iterator[Slow]:
 
 
 def _clocks(setup: Setup) -> dict[str, Array]:
-    """Return each block's time from -1 to 1, [B], in its recording and over all recordings in their order."""
+    """Return clocks, by their words: each block's time from -1 to 1, [B], in its recording or over all recordings."""
     origins, at = setup.origins, {}
     for view in setup.views:
         for name, a, b in blocks_of(view, setup.block_s):
@@ -141,7 +143,11 @@ def _clocks(setup: Setup) -> dict[str, Array]:
     time_s = np.array([at[name] for name in setup.blocks])
     for origin in set(origins):
         time_s[number == origin] -= time_s[number == origin].min()
-    found = {"within the trials": 2 * time_s / max(time_s.max(), 1e-9) - 1}
+    time = time_s / max(time_s.max(), 1e-9)
+    found = {"within the trials": 2 * time - 1}
+    for share in SETTLING:
+        settled = np.expm1(-time / share) / np.expm1(-1 / share)
+        found[f"within the trials, mostly in their first {2 * share * time_s.max():.2g} s"] = 2 * settled - 1
     if len(set(origins)) >= TRIALS_LEAST:
         found["from the first trial to the last"] = 2 * number / number.max() - 1
     return found

@@ -19,10 +19,14 @@ TRIALS = len(KINDS)
 
 @dataclass
 class _View(Gauge):
-    """A gauge whose gain changes by `within` during every trial and by `over` from the first trial to the last."""
+    """A gauge whose gain changes by `within` during every trial and by `over` from the first trial to the last.
+
+    A change by `settling` has a time constant of 2 s in every trial.
+    """
 
     within: float = 0.0
     over: float = 0.0
+    settling: float = 0.0
     gain: float = 1.0
     hum: float = 0.0
     seed: int = 0
@@ -37,6 +41,7 @@ class _View(Gauge):
         self.floor, self.features = np.array([NOISE]), {"input": self.inputs}
         noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
         slow = self.within * (self.t_s / LENGTH_S - 0.5) + self.over * (self.trial / (TRIALS - 1) - 0.5)
+        slow += self.settling * (1 - np.exp(-self.t_s / 2.0))
         noise += self.hum * np.sin(17.3 * self.t_s)
         self.measured = ((self.gain + slow) * self.inputs + noise)[:, None]
 
@@ -66,6 +71,14 @@ def test_a_drifting_strength_is_unknown_and_the_sentence_says_what_drifts(thresh
     decision = found.decide()
     assert decision.kind == "unknown"
     assert decision.structure["stage"] == finding.where
+
+
+def test_a_strength_that_settles_early_in_every_trial_is_unknown():
+    found = examined(settling=0.3)
+    (finding,) = found.slow.values()
+    assert finding.where.startswith(f"{GAIN} changes from 1.1")
+    assert finding.where.endswith("within the trials, mostly in their first 4.2 s")
+    assert found.decide().kind == "unknown"
 
 
 def test_noise_and_wrong_constants_do_not_drift():
