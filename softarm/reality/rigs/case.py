@@ -25,7 +25,7 @@ _FAMILIES = (
     {"gain", "offset", "load", "sensor_bias", "lean", "bias"},
     {"rate_limit", "acceleration_limit", "choked flow", "lag", "uneven lag"},
     {"ceiling", "weak supply", "gain", "offset"},
-    {"payload", "moment", "weak motor"},
+    {"payload", "moment", "low moment", "weak motor"},
     {"coulomb_friction", "damping", "drag", "uneven friction", "slope"},
 )
 
@@ -56,23 +56,23 @@ _TIES: Final[Mapping[Kind, tuple[Tie, ...]]] = {
     ),
     "driven_mass": (
         Tie(("payload", "weak motor"), frozenset({"mass", "gain"}), frozenset({"payload"})),
-        Tie(("slope", "uneven friction"), frozenset({"force_offset", "friction_asymmetry"}), frozenset({"tilt"})),
+        Tie(("uneven friction",), frozenset({"force_offset", "friction_asymmetry"}), frozenset({"tilt"})),
         Tie(("coulomb_friction", "damping", "slope"), frozenset({"coulomb_friction", "damping", "force_offset"}),
             frozenset({"drag", "friction_asymmetry", "stiction", "tilt"}), ("one speed",)),
     ),
     "pendulum": (
-        Tie(("moment", "payload"), frozenset({"stiffness", "payload"}), frozenset(), rigs=("pendulum", "boom")),
+        Tie(("low moment", "payload"), frozenset({"stiffness", "payload"}), frozenset(), rigs=("pendulum", "boom")),
     ),
     # A moving base or a motor distinguishes all causes.
     "chain": (),
 }  # fmt: skip
 # Faults that no recording of the rig distinguishes from another fault are never a single cause.
 _TIED_ALWAYS: Final[Mapping[str, frozenset[str]]] = {
-    "cart": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
-    "slide": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
-    "coil": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
-    "pendulum": frozenset({"moment", "payload"}),
-    "boom": frozenset({"moment", "payload"}),
+    "cart": frozenset({"payload", "weak motor", "uneven friction"}),
+    "slide": frozenset({"payload", "weak motor", "uneven friction"}),
+    "coil": frozenset({"payload", "weak motor", "uneven friction"}),
+    "pendulum": frozenset({"low moment", "payload"}),
+    "boom": frozenset({"low moment", "payload"}),
 }
 
 

@@ -310,7 +310,9 @@ _CHAIN = {
     "drag": Fault(_patch(drag_n_s2_m2=_chain_drag), _one({"drag"})),
     "lean": Fault(_patch(tilt_rad=_sized(0.03, 0.06, either_way=True)), _LEAN),
     "bias": Fault(_patch(bias_rad=_sized(0.03, 0.06, either_way=True)), _LEAN),
-    "moment": Fault(_patch(moment=_sized(0.06, 0.12, either_way=True)), _one({"stiffness"}), _HEAVY),
+    # A mass at the tip slows the swing, so only a low moment resembles one.
+    "moment": Fault(_patch(moment=_sized(0.06, 0.12)), _one({"stiffness"})),
+    "low moment": Fault(_patch(moment=_sized(0.06, 0.12, lambda rig: -1.0)), _one({"stiffness"}), _HEAVY),
     "payload": Fault(_tip_payload, _one({"payload"}), _HEAVY),
     "kink": Fault(
         _patch(kink_nm_rad=_sized(0.2, 0.4, _moment), kink_rad=_uniform(0.03, 0.12)), near=_HEAVY | {"stiffening"}

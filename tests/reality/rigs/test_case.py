@@ -52,6 +52,13 @@ def test_every_case_matches_its_category():
                 assert len(case.causes) == 1
 
 
+def test_a_moment_resembles_a_payload_only_if_it_is_low():
+    tied = [cause for case in draw(40, 3, ["pendulum"], ["set"]) for cause in case.causes if case.category == "set"]
+    low = [cause.settings["moment"] < 0 for cause in tied if "moment" in cause.settings]
+    assert low
+    assert all(low)
+
+
 @pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
 def test_half_the_strength_weakens_every_fault(rig):
     for name, fault in FAULTS[rig.plant].items():
