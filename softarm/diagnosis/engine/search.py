@@ -22,6 +22,7 @@ EFFECTS_MAX = 3  # effects of a forward search
 SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
 RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
 SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
+SHARED_MIN = 0.1  # energy that two effects remove from a stage, at most, if they may replace each other there
 EQUAL = 0.5  # held-out loss that counts as no difference
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
@@ -113,8 +114,11 @@ class Search:
         chosen, seen = null_model, {frozenset[str]()}
         while True:
             progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
-            ranked = self.ranked(chosen)
-            good = [(f, g) for f, g in ranked if self.is_gain(g) and self.is_nameable(f, g)]
+            good = [(f, g) for f, g in self.ranked(chosen) if self.is_gain(g)]
+            while good and not self.is_nameable(*good[0]):
+                if self.is_calibration(good[0][0]):  # explains more than any missing effect
+                    return chosen
+                good = good[1:]
             if not good or len(chosen.effects) == EFFECTS_MAX:
                 return chosen
             further = self.pruned(self.swapped(good[0][0]))
@@ -197,6 +201,11 @@ class Search:
         last_exceeds = fit.effects[-1].exceeds_tolerance(fit.u[-1])
         resolved = gain is None or last_exceeds or gain.value > self.thresholds.gain.resolved_min
         return self.is_large(fit) and resolved and not fit.at_bound
+
+    def is_calibration(self, fit: Fit) -> bool:
+        """Return whether a set's last effect is a change within tolerance of a parameter that the model has."""
+        last = fit.effects[-1]
+        return not last.is_missing and not last.exceeds_tolerance(fit.u[-1])
 
     def is_large(self, fit: Fit) -> bool:
         """Return whether every effect exceeds its tolerance, or the only effect is missing in the model.
@@ -349,7 +358,8 @@ class Search:
         No law is exact. Far above the noise, a small lack is due to the form of the laws, however significant.
         """
         own, t = self.gain(less, rival), self.thresholds.rival
-        shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
+        least = min(SHARED_MIN, 0.5 * max(gain.energies.values()))
+        shared = any(own.energies[s] > 0.5 * e and e >= least for s, e in gain.energies.items())
         rest = float(self._counted(rival).sum()) - lack.value
         close = lack.low <= 0 or lack.value < max(t.lack_max, t.misfit_share * rest)
         enough = self.is_large(rival) and self.is_gain(own)

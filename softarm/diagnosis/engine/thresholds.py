@@ -104,6 +104,10 @@ class Thresholds:
 
 ROBOT: Final = Thresholds()
 
+# Next to an effect that was measured from stamps and noise, the search's own effect is not the only one: a change
+# within tolerance may correct the sampling's law.
+NEXT_TO_ANOTHER: Final = replace(ROBOT, gain=replace(ROBOT.gain, resolved_min=inf))
+
 # A rig is cheap to simulate and has few candidates, so the search starts from all of them: dry friction and drag only
 # replace a viscous fit together. Its floor is the step of its encoder, so what may remain is a share of what the best
 # fit leaves. Blocks are held out, since one fast part of a sweep may be the only one that shows a torque limit.

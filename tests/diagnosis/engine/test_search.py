@@ -125,3 +125,36 @@ def test_the_linearisation_error_of_a_nuisance_is_counted():
     )
     own = replace(fit, effects=(RATE,), u=((0.0,),))  # what a set itself fits is no nuisance beside it
     assert setup.linearisation_error("stage", own) == pytest.approx(0.0, abs=1e-4)
+
+
+@dataclass
+class _Dial(Gauge):
+    """A gauge with a wrong gain, seen in small inputs only, where a cubic law resembles a gain."""
+
+    gain: float = 1.0
+    cubic: float = 0.0
+    acts = frozenset({"stage.gain.scale", "stage.cubic.strength"})
+
+    def __post_init__(self):
+        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
+        self.inputs = np.sin(2 * self.t_s)
+        self.floor = self.noise = np.array([NOISE])
+        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
+        truth = {"stage.gain.scale": self.gain, "stage.cubic.strength": self.cubic}
+        self.measured = (self._predict(truth) + noise)[:, None]
+
+    def _predict(self, point):
+        scale, cubic = point.get("stage.gain.scale", 1.0), point.get("stage.cubic.strength", 0.0)
+        return scale * self.inputs + cubic * self.inputs**3
+
+
+@pytest.mark.parametrize(("law", "names"), [({"gain": 1.12}, ()), ({"cubic": 0.14}, ("stage.cubic",))])
+def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains_more(law, names):
+    own = FittedParameter("stage.gain.scale", "-", 1.0, 0.2, 3.0, 0.3, 1.0, tolerance=0.2)
+    new = FittedParameter("stage.cubic.strength", "-", 0.0, -1.0, 1.0, 0.3, 0.0, tolerance=0.05)
+    known = [Candidate("stage.gain", "stage", (own,), ((1.3,), (0.7,)), constant=True)]
+    known.append(Candidate("stage.cubic", "stage", (new,), ((0.2,), (-0.2,))))
+    setup = Setup([_Dial(**law)], (Nuisance("stage.gain.scale", 1.0, 0.97, 1.03),), ("sine", "other"))
+    search = Search(setup.weighed(), setup.plain(), ("stage",), known, ROBOT)
+    assert search.run(lambda what, share: None).chosen.names == names

@@ -10,7 +10,7 @@ from softarm.diagnosis.engine.decision import Evidence, decide, is_cause, remain
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.search import Choice, Gain, Search, SelectedEffect
 from softarm.diagnosis.engine.structure import Structure
-from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+from softarm.diagnosis.engine.thresholds import NEXT_TO_ANOTHER, RIG, ROBOT
 
 PARAMETER = FittedParameter("arm.payload.mass", "kg", 0.0, 0.0, 10.0, 1.0, 0.0)
 PAYLOAD = Candidate("arm.payload", "arm", (PARAMETER,), ((1.0,),))
@@ -75,6 +75,26 @@ def is_equivalent(t, lack, gain=1e6, rest=0.0):
     search.gain = lambda less, more: own
     search._counted = lambda fit: np.array([rest + lack])
     return search.is_equivalent(fit(), fit(PAYLOAD), replace(own, value=lack, low=0.9 * lack), own)
+
+
+@pytest.mark.parametrize("removed", [0.08, 0.5, 90.0])
+def test_a_rival_that_removes_as_little_energy_may_be_the_cause_as_well(removed):
+    search = Energies(ROBOT)
+    own = Gain(45.0, 35.0, 55.0, {"arm": 0.9}, {"arm": removed})
+    search.gain = lambda less, more: own
+    search._counted = lambda fit: np.zeros(1)
+    same = replace(own, value=0.0, low=-0.1)
+    assert search.is_equivalent(fit(), fit(PAYLOAD), same, own)
+    search.gain = lambda less, more: replace(own, energies={"arm": 0.1 * removed})
+    assert not search.is_equivalent(fit(), fit(PAYLOAD), same, own)
+
+
+def test_next_to_an_effect_from_stamps_a_change_within_tolerance_is_not_named():
+    tolerant = replace(PAYLOAD, parameters=(replace(PARAMETER, tolerance=2.0),))
+    clear = Gain(200.0, 150.0, 250.0, {"arm": 0.9}, {"arm": 90.0})
+    assert Energies(ROBOT).is_nameable(fit(tolerant), clear)
+    assert not Energies(NEXT_TO_ANOTHER).is_nameable(fit(tolerant), clear)
+    assert Energies(NEXT_TO_ANOTHER).is_nameable(fit(PAYLOAD), clear)
 
 
 def is_correction(t, left):
