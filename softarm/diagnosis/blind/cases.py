@@ -143,6 +143,13 @@ def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.
     for effect, removed in wanted:
         robot, cause = draw_cause(robot, effect, removed, random)
         causes.append(cause)
+    return with_trials(name, kind, causes, robot, random)
+
+
+def with_trials(
+    name: str, kind: Kind, causes: Sequence[Cause], robot: RobotParameters, random: np.random.Generator
+) -> Case:
+    """Return a case of a robot with its causes, with the nominal model and random trials."""
     effects = {n: p for n, p in Model().effects.items() if not any(c.removed and c.name == n for c in causes)}
     model = Model().model_copy(update={"effects": effects})
     programme = list(PROGRAMME)

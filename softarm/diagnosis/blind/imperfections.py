@@ -35,10 +35,11 @@ class Knob:
         """Parameters that get the value."""
         return (self.path, self.also) if self.also else (self.path,)
 
-    @property
-    def weakest(self) -> float:
-        """Value of the weakest cause."""
-        return self.high if self.limit else self.low
+    def weakened(self, share: float) -> float:
+        """Return the value of a cause that has this share of the weakest cause's strength."""
+        if self.limit:
+            return self.high / share
+        return self.low**share if self.how == "times" else self.low * share
 
     def draw(self, random: np.random.Generator) -> float:
         """Draw a value log-uniformly between low and high, in the parameter's unit."""

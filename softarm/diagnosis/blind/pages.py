@@ -14,6 +14,16 @@ def markdown(result: Mapping[str, Any]) -> str:
     return "\n".join((*measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
 
 
+def detection(found: Mapping[str, Any]) -> str:
+    """Return the table of detection limits, from the figures of `detection.measure`."""
+    lines = ["| cause | drawn | found in 90 % from | share of the weakest drawn |", "|---|---|---|---|"]
+    for row in found["causes"]:
+        limit = "- | -" if row["share"] is None else f"{row['found']:.3g} | {row['share']:.2f}"
+        lines.append(f"| {row['cause']} | {row['drawn']} | {limit} |")
+    named = f"{found['healthy named']} of {found['healthy']} healthy robots got a name."
+    return "\n".join([*lines, "", f"{found['draws']} robots for each row; {named}"]) + "\n"
+
+
 def strength(rows: Iterable[Mapping[str, Any]]) -> str:
     """Return the table of docs/evidence/blind.md with the strength of every cause's weakest form."""
     lines = ["| cause | drawn | its weakest shows in | changes | nuisances | ratio |", "|---|---|---|---|---|---|"]

@@ -155,7 +155,8 @@ def _change(candidate, fitted, x):
 def test_the_weakest_cause_of_a_parameter_in_the_model_exceeds_its_tolerance(knob, path):
     candidate, fitted = _found(path)
     nominal = fitted.value(fitted.nominal)
-    x = {"set": knob.weakest, "add": nominal + knob.weakest, "times": nominal * knob.weakest}[knob.how]
+    weakest = knob.weakened(1.0)
+    x = {"set": weakest, "add": nominal + weakest, "times": nominal * weakest}[knob.how]
     assert candidate.exceeds_tolerance(_change(candidate, fitted, x))
 
 

@@ -1,0 +1,160 @@
+"""Detection limit of every cause of the blind benchmark: `python -m softarm.diagnosis.blind.detection FOLDER`.
+
+Robots with nuisances get one cause each, with strengths around the benchmark's weakest. The limit is the strength from
+which 90 % of the answers are right. Healthy robots count the names that are given by chance. Nothing is sealed.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from softarm.common import files
+from softarm.common.processes import as_they_come, bar, cores
+from softarm.diagnosis.blind import pages, run, seal
+from softarm.diagnosis.blind.cases import Case, with_trials
+from softarm.diagnosis.blind.imperfections import (
+    KNOWN,
+    Cause,
+    Variant,
+    draw_nuisances,
+    given,
+)
+from softarm.diagnosis.blind.make import is_written, write_case
+from softarm.diagnosis.blind.score import Scored
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.verdict import Verdict
+
+SHARES = (0.125, 2.0)  # of the strength of the benchmark's weakest cause
+FOUND = 0.9
+_SEED = 7
+
+
+def causes() -> Iterator[tuple[str, Variant]]:
+    """Yield every effect of the registry that a case may have, with each of its variants."""
+    for name, variants in KNOWN.items():
+        for variant in variants:
+            yield name, variant
+
+
+def weak(number: int, name: str, variant: Variant, draw: int, draws: int) -> tuple[Case, float]:
+    """Return a robot with a cause of random strength, and the strength as a share of the weakest in the benchmark.
+
+    Args:
+        number: of the cause's variant.
+        name: effect of the registry.
+        variant: its first knob sets the strength; the others are drawn as in the benchmark.
+        draw: number of the robot; each has its own part of the range of strengths.
+        draws: number of robots.
+    """
+    random = np.random.default_rng((_SEED, number, draw))
+    robot = draw_nuisances(RobotParameters(), random)
+    low, high = np.log(SHARES)
+    share = float(np.exp(low + (draw + random.random()) / draws * (high - low)))
+    first, *others = variant
+    value = first.weakened(share)
+    if first.either_way and random.random() < 0.5:
+        value = 1 / value if first.how == "times" else -value
+    robot, settings = given(robot, variant, [value, *(knob.draw(random) for knob in others)])
+    cause = Cause(name, False, settings)
+    return with_trials(f"weak-{number:02d}-{draw:02d}", "single", [cause], robot, random), share
+
+
+def healthy(draw: int) -> Case:
+    """Return a robot without a cause."""
+    random = np.random.default_rng((_SEED, draw))
+    return with_trials(f"healthy-{draw:02d}", "none", [], draw_nuisances(RobotParameters(), random), random)
+
+
+def right(case: Case, answer: Mapping[str, Any]) -> bool:
+    """Return whether an answer names the case's cause and nothing else, or is `none` without a cause."""
+    verdict = answer["verdict"] and Verdict.model_validate(answer["verdict"])
+    names = tuple(cause.name for cause in case.causes)
+    stages = tuple(cause.stage for cause in case.causes)
+    return Scored(case.name, case.kind, names, stages, (False,) * len(names), verdict, answer["failure"]).right
+
+
+def limit(tries: Sequence[tuple[float, bool]]) -> float | None:
+    """Return the smallest strength from which FOUND of the answers are right, or None if there is none.
+
+    Args:
+        tries: strength and whether the answer was right.
+    """
+    ordered = sorted(tries, reverse=True)
+    hits = np.cumsum([hit for _, hit in ordered]) / np.arange(1, len(ordered) + 1)
+    enough = np.flatnonzero(hits >= FOUND)
+    return ordered[enough[-1]][0] if len(enough) else None
+
+
+def answer(case: Case, place: Path) -> dict[str, Any]:
+    """Return the diagnosis of a case, recorded and answered unless this version has done it already."""
+    file = place / "answers" / f"{case.name}.json"
+    tool = seal.tool_version()
+    if file.is_file() and (kept := json.loads(file.read_text(encoding="utf-8")))["tool"] == tool:
+        return dict(kept)
+    if not is_written(case, place, None):
+        write_case(case, place)
+    found = {"tool": tool, **run.answer_case(place / case.name, "diagnose")}
+    files.write_text(file, json.dumps(found))
+    return found
+
+
+def measure(place: Path, draws: int, robots: int, processes: int) -> dict[str, Any]:
+    """Diagnose weak causes and healthy robots and return the figures of the table.
+
+    Args:
+        place: folder for recordings and answers; an interrupted measurement continues there.
+        draws: robots for each variant of a cause.
+        robots: healthy robots.
+        processes: processes side by side.
+    """
+    (place / "answers").mkdir(parents=True, exist_ok=True)
+    known = list(causes())
+    made = [(k, *weak(k, name, variant, i, draws)) for k, (name, variant) in enumerate(known) for i in range(draws)]
+    well = [healthy(i) for i in range(robots)]
+    hits = {}
+    with bar("diagnosing", len(made) + len(well)) as shown:
+        work = partial(answer, place=place)
+        for case, found in as_they_come(work, [*(case for _, case, _ in made), *well], processes):
+            hits[case.name] = right(case, found)
+            shown.advance(1)
+    rows = []
+    for k, (name, variant) in enumerate(known):
+        least = limit([(share, hits[case.name]) for of, case, share in made if of == k])
+        value = None if least is None else variant[0].weakened(least)
+        rows.append({"cause": name, "drawn": drawn(variant), "share": least, "found": value})
+    return {"causes": rows, "draws": draws, "healthy": robots, "healthy named": sum(not hits[c.name] for c in well)}
+
+
+def drawn(variant: Variant) -> str:
+    """Describe the ranges from which the benchmark draws a variant."""
+    sign = {"set": "", "add": "+", "times": "x "}
+    both = {"set": "", "add": "±", "times": "x or / "}
+    return ", ".join(
+        f"`{path}` {both[knob.how] if knob.either_way else sign[knob.how]}"
+        + (f"{knob.low:g}" if knob.low == knob.high else f"{knob.low:g} .. {knob.high:g}")
+        for knob in variant
+        for path in knob.paths
+    )
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--draws", default=8, help="Robots for each variant of a cause.")
+@click.option("--healthy", "robots", default=60, help="Robots without a cause.")
+@click.option("--processes", default=cores(), help="Processes side by side.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures here.")
+def main(folder: Path, draws: int, robots: int, processes: int, json_file: Path | None) -> None:
+    """Diagnose weak causes, recorded into FOLDER, and print the table of detection limits."""
+    found = measure(folder, draws, robots, processes)
+    click.echo(pages.detection(found), nl=False)
+    if json_file is not None:
+        files.write_text(json_file, json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
