@@ -86,12 +86,16 @@ def _number(value: float | None, how: str) -> str:
 
 
 def rig_table(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the counts as a Markdown table; `sure` counts confident answers among wrong and picked ones."""
+    """Return the counts as a Markdown table; `sure` counts confident answers among wrong and picked ones.
+
+    `sizes held` counts the true sizes within their 95 % intervals.
+    """
     columns = ("cases", *OUTCOMES, "sure")
-    lines = [f"| | {' | '.join(columns)} | s (median, worst) |", "|---" * (len(columns) + 2) + "|"]
+    lines = [f"| | {' | '.join(columns)} | sizes held | s (median, worst) |", "|---" * (len(columns) + 3) + "|"]
     for name, row in found.items():
         counts = " | ".join(str(row[c] or "") for c in columns)
-        lines.append(f"| {name} | {counts} | {row['seconds_median']:.0f}, {row['seconds_worst']:.0f} |")
+        sizes = f"{row['sizes held']} of {row['sizes']}" if row["sizes"] else ""
+        lines.append(f"| {name} | {counts} | {sizes} | {row['seconds_median']:.0f}, {row['seconds_worst']:.0f} |")
     return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ from itertools import permutations
 from statistics import median
 from typing import Any, Final, Literal, get_args
 
+from softarm.diagnosis.blind import rig_sizes
 from softarm.schemas.verdict import Interval, NamedEffect, Verdict
 
 BINS = 10
@@ -235,6 +236,7 @@ class ScoredRig:
     outcome: Outcome
     sure: bool  # wrong or picked, with confidence
     clarity: float
+    sizes: tuple[bool, ...]  # whether the interval of each comparable size holds the true one
     seconds: float  # processor time
 
 
@@ -258,6 +260,7 @@ def score_rig(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> ScoredRig:
         outcome,
         sure,
         truth["clarity"],
+        tuple(rig_sizes.held(truth, answer).values()),
         answer["seconds"],
     )
 
@@ -340,6 +343,8 @@ def _row(cases: Sequence[ScoredRig]) -> dict[str, Any]:
         "cases": len(cases),
         **counts,
         "sure": sum(s.sure for s in cases),
+        "sizes held": sum(sum(s.sizes) for s in cases),
+        "sizes": sum(len(s.sizes) for s in cases),
         "seconds_median": median(s.seconds for s in cases),
         "seconds_worst": max(s.seconds for s in cases),
     }

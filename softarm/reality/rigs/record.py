@@ -67,10 +67,10 @@ def record(case: RigCase) -> tuple[list[Run], float]:
     """Return every trial of a case, and the RMS of its noise and rounding in base units; deterministic."""
     random = np.random.default_rng((case.seed, 3))
     rig = case.rig
-    nominal = _nominal(rig)
-    healthy = _healthy(rig, nominal, random)
+    known = nominal(rig)
+    healthy = _healthy(rig, known, random)
     patches = [c.settings for c in case.causes]
-    lanes: list[Lane] = [_with(healthy, patches), nominal, healthy]
+    lanes: list[Lane] = [_with(healthy, patches), known, healthy]
     lanes += [_with(healthy, [p for p in patches if p is not left]) for left in patches]
     durations = [float(random.uniform(*rig.duration_s)) for _ in case.excitations]
     if rig.kind == "tracking":
@@ -99,7 +99,7 @@ def _with(base: Lane, patches: Sequence[Mapping[str, float | tuple[float, ...]]]
 _ADDED = frozenset({"gain", "offset", "load", "delay_s", "late_s", "bias", "tilt_rad", "moment", "strength", "force_n"})
 
 
-def _nominal(rig: Rig) -> Lane:
+def nominal(rig: Rig) -> Lane:
     """Return the parameters of a rig as in its stage.yaml."""
     if rig.kind == "tracking":
         return {"lag_s": rig.pace_s, "delay_s": BUS_SHARE / rig.rate_hz} | dict(rig.parameters)

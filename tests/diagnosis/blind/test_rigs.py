@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from softarm.diagnosis.blind import pages, rigs
+from softarm.diagnosis.blind import pages, rig_sizes, rigs
 from softarm.diagnosis.blind.score import OUTCOMES, WEAK, rig_counts, score_rig
 from softarm.reality.rigs.case import case_of
 from softarm.reality.rigs.record import write
@@ -23,7 +23,12 @@ def truth(*causes, category="single", clarity=20.0):
 
 def reply(verdict, *groups, confidence=0.99):
     effects = [
-        {"name": f"servo.{first}", "equivalents": [f"servo.{n}" for n in rest], "confidence": confidence}
+        {
+            "name": f"servo.{first}",
+            "equivalents": [f"servo.{n}" for n in rest],
+            "confidence": confidence,
+            "parameters": {},
+        }
         for first, *rest in groups
     ]
     return {"verdict": {"verdict": verdict, "effects": effects}, "failure": "", "seconds": 3.0}
@@ -139,3 +144,36 @@ def test_making_and_scoring_do_not_load_the_simulator():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr
+
+
+@pytest.mark.parametrize(
+    ("rig", "fault", "path", "unit", "worth", "offset"),
+    [
+        ("servo", "dead_time", "dead_time.delay", "s", 1.0, True),
+        ("servo", "offset", "gain.offset", "deg", 0.017453292519943295, False),
+        ("slide", "slope", "force_offset.force", "N", 1.0, False),
+        ("slide", "backlash", "backlash.gap", "mm", 1e-3, False),
+        ("boom", "moment", "stiffness.scale", "-", 1.0, False),
+        ("pole", "payload", "payload.mass", "kg", 1.0, False),
+    ],
+)
+def test_a_true_size_is_compared_in_the_owners_units(rig, fault, path, unit, worth, offset):
+    case = case_of(rig, [fault], seed=3)
+    true = rig_sizes.true_sizes(case.truth)[path]
+    (given,) = case.causes[0].settings.values() if fault != "payload" else [case.causes[0].settings["payload_kg"]]
+    assert (true > given) if offset else (true == given)
+    effect, _, name = path.partition(".")
+
+    def answer(low, high):
+        ends = {"value": low, "low": low, "high": high, "unit": unit}
+        return {"verdict": {"effects": [{"name": f"{rig}.{effect}", "parameters": {name: ends}}]}}
+
+    around = sorted((0.9 * true / worth, 1.1 * true / worth))
+    assert rig_sizes.held(case.truth, answer(*around)) == {path: True}
+    assert rig_sizes.held(case.truth, answer(*(2 * end for end in around))) == {path: False}
+    assert rig_sizes.held(case.truth, {"verdict": None}) == {}
+
+
+def test_the_sizes_of_uneven_friction_and_of_unknown_faults_are_not_compared():
+    assert rig_sizes.true_sizes(case_of("cart", ["uneven friction"]).truth) == {}
+    assert rig_sizes.true_sizes(case_of("servo", ["drifting gain"]).truth) == {}
