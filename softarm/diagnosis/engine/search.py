@@ -114,12 +114,11 @@ class Search:
         chosen, seen = null_model, {frozenset[str]()}
         while True:
             progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
-            good = [(f, g) for f, g in self.ranked(chosen) if self.is_gain(g)]
-            while good and not self.is_nameable(*good[0]):
-                if self.is_calibration(good[0][0]):  # explains more than any missing effect
-                    return chosen
-                good = good[1:]
+            ranked = self.ranked(chosen)
+            good = [(f, g) for f, g in ranked if self.is_gain(g) and self.is_nameable(f, g)]
             if not good or len(chosen.effects) == EFFECTS_MAX:
+                return chosen
+            if self.is_contested(*good[0], [each for each in ranked if each not in good]):
                 return chosen
             further = self.pruned(self.swapped(good[0][0]))
             if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:
@@ -202,10 +201,21 @@ class Search:
         resolved = gain is None or last_exceeds or gain.value > self.thresholds.gain.resolved_min
         return self.is_large(fit) and resolved and not fit.at_bound
 
-    def is_calibration(self, fit: Fit) -> bool:
-        """Return whether a set's last effect is a change within tolerance of a parameter that the model has."""
-        last = fit.effects[-1]
-        return not last.is_missing and not last.exceeds_tolerance(fit.u[-1])
+    def is_contested(self, fit: Fit, gain: Gain, others: Sequence[tuple[Fit, Gain]]) -> bool:
+        """Return whether what cannot be named explains the gap better than a set's last effect.
+
+        Args:
+            fit: set whose last effect may be named.
+            gain: gain of that effect.
+            others: sets with a last effect that cannot be named. A change of the model's own parameter within its
+                tolerance counts. Against an effect within its tolerance all count but those like it, beyond chance.
+        """
+        if fit.effects[-1].exceeds_tolerance(fit.u[-1]):
+            rivals, margin = [(f, g) for f, g in others if _is_within(f) and not f.effects[-1].is_missing], 0.0
+        else:
+            rivals = [(f, g) for f, g in others if not (_is_within(f) and f.effects[-1].is_missing)]
+            margin = self.thresholds.gain.resolved_min
+        return any(reached.value > gain.value - margin for _, reached in rivals)
 
     def is_large(self, fit: Fit) -> bool:
         """Return whether every effect exceeds its tolerance, or the only effect is missing in the model.
@@ -361,7 +371,7 @@ class Search:
         least = min(SHARED_MIN, 0.5 * max(gain.energies.values()))
         shared = any(own.energies[s] > 0.5 * e and e >= least for s, e in gain.energies.items())
         rest = float(self._counted(rival).sum()) - lack.value
-        close = lack.low <= 0 or lack.value < max(t.lack_max, t.misfit_share * rest)
+        close = lack.low <= 0 or lack.value < max(t.lack_max, t.lack_share * gain.value, t.misfit_share * rest)
         enough = self.is_large(rival) and self.is_gain(own)
         return enough and shared and close and lack.value < t.share_max * gain.value
 
@@ -396,6 +406,11 @@ def bootstrap(difference: Array) -> tuple[float, float]:
 def tempered(fit: Fit) -> Array:
     """Return the held-out losses by block, with a logarithm beyond the usual loss of a block."""
     return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
+
+
+def _is_within(fit: Fit) -> bool:
+    """Return whether a set's last effect is within its tolerance."""
+    return not fit.effects[-1].exceeds_tolerance(fit.u[-1])
 
 
 def _parameters(effects: EffectSet) -> int:

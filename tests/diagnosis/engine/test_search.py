@@ -149,10 +149,19 @@ class _Dial(Gauge):
         return scale * self.inputs + cubic * self.inputs**3
 
 
-@pytest.mark.parametrize(("law", "names"), [({"gain": 1.12}, ()), ({"cubic": 0.14}, ("stage.cubic",))])
-def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains_more(law, names):
+@pytest.mark.parametrize(
+    ("law", "tolerance", "names"),
+    [
+        ({"gain": 1.12}, 0.05, ()),
+        ({"cubic": 0.14}, 0.05, ("stage.cubic",)),
+        # Within its tolerance, the cubic law must explain more than the gain by a clear margin.
+        ({"cubic": 0.14}, 0.2, ("stage.cubic",)),
+        ({"gain": 1.02, "cubic": 0.05}, 0.2, ()),
+    ],
+)
+def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains_more(law, tolerance, names):
     own = FittedParameter("stage.gain.scale", "-", 1.0, 0.2, 3.0, 0.3, 1.0, tolerance=0.2)
-    new = FittedParameter("stage.cubic.strength", "-", 0.0, -1.0, 1.0, 0.3, 0.0, tolerance=0.05)
+    new = FittedParameter("stage.cubic.strength", "-", 0.0, -1.0, 1.0, 0.3, 0.0, tolerance=tolerance)
     known = [Candidate("stage.gain", "stage", (own,), ((1.3,), (0.7,)), constant=True)]
     known.append(Candidate("stage.cubic", "stage", (new,), ((0.2,), (-0.2,))))
     setup = Setup([_Dial(**law)], (Nuisance("stage.gain.scale", 1.0, 0.97, 1.03),), ("sine", "other"))

@@ -120,7 +120,16 @@ PROBES = {
         lambda t: is_gain(t, share=0.3, energy=1.0),
         lambda t: is_gain(t, share=0.6, energy=1.0),
     ),
-    "rival.lack_max": (ROBOT, lambda t: is_equivalent(t, 7.0), lambda t: is_equivalent(t, 14.0)),
+    "rival.lack_max": (
+        ROBOT,
+        lambda t: is_equivalent(t, 7.0, gain=130.0),
+        lambda t: is_equivalent(t, 14.0, gain=130.0),
+    ),
+    "rival.lack_share": (
+        ROBOT,
+        lambda t: is_equivalent(t, 30.0, gain=1000.0),
+        lambda t: is_equivalent(t, 60.0, gain=1000.0),
+    ),
     "rival.share_max": (
         ROBOT,
         lambda t: is_equivalent(t, 7.0, gain=80.0),
