@@ -50,11 +50,11 @@ def is_at_level(report: Shares) -> bool:
 
 
 def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point]:
-    """Train until the level is held or `frames_most` is reached; return one point per validation."""
+    """Train until the level is held or `frames_most` is reached; return one point per validation, at least one."""
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
     session = begin(RECIPES["reach"], seed, out, pool, resume=False)
-    while session.frames < frames_most and first_held([is_at_level(point.report) for point in points]) is None:
+    while not points or (session.frames < frames_most and first_held([is_at_level(p.report) for p in points]) is None):
         session.advance()
         if len(session.curve) % session.config.validate_every:
             continue
@@ -96,7 +96,7 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
 @click.command()
 @results.json_option
 @click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="May be repeated.  [default: 1 to 5]")
-@click.option("--frames", type=click.IntRange(min=1), help="End a seed after this many control steps.")
+@click.option("--frames", type=click.IntRange(min=1), help="End a seed after this many control steps and a validation.")
 def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> None:
     """Measure the time to the paper's 94/50/80 %, held over three more validations.
 
