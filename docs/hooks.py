@@ -66,10 +66,10 @@ def exit_codes() -> str:
 
 
 def blind_causes() -> str:
-    """Return every cause of the blind benchmark with its stored strength."""
-    stored = json.loads((ROOT / "benchmarks/results/strength.json").read_text(encoding="utf-8"))
+    """Return every cause of the blind benchmark with its stored detection limit."""
+    stored = json.loads((ROOT / "benchmarks/results/detection.json").read_text(encoding="utf-8"))
     about = stored["about"]
-    return f"{pages.strength(stored['causes'])}\n*Measured {about['date'][:10]} at {about['revision'][:8]}.*"
+    return f"{pages.detection(stored)}\n*Measured {about['date'][:10]} at {about['revision'][:8]}.*"
 
 
 def configuration_keys() -> str:

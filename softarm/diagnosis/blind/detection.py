@@ -23,6 +23,7 @@ from softarm.diagnosis.blind.imperfections import (
     Variant,
     draw_nuisances,
     given,
+    ranges,
 )
 from softarm.diagnosis.blind.make import is_written, write_case
 from softarm.diagnosis.blind.score import Scored
@@ -126,20 +127,8 @@ def measure(place: Path, draws: int, robots: int, processes: int) -> dict[str, A
     for k, (name, variant) in enumerate(known):
         least = limit([(share, hits[case.name]) for of, case, share in made if of == k])
         value = None if least is None else variant[0].weakened(least)
-        rows.append({"cause": name, "drawn": drawn(variant), "share": least, "found": value})
+        rows.append({"cause": name, "drawn": ranges(variant), "share": least, "found": value})
     return {"causes": rows, "draws": draws, "healthy": robots, "healthy named": sum(not hits[c.name] for c in well)}
-
-
-def drawn(variant: Variant) -> str:
-    """Describe the ranges from which the benchmark draws a variant."""
-    sign = {"set": "", "add": "+", "times": "x "}
-    both = {"set": "", "add": "±", "times": "x or / "}
-    return ", ".join(
-        f"`{path}` {both[knob.how] if knob.either_way else sign[knob.how]}"
-        + (f"{knob.low:g}" if knob.low == knob.high else f"{knob.low:g} .. {knob.high:g}")
-        for knob in variant
-        for path in knob.paths
-    )
 
 
 @click.command()

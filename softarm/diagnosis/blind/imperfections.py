@@ -191,6 +191,18 @@ def variants_of(name: str) -> tuple[Variant, ...]:
     return UNKNOWNS[name.removeprefix(UNKNOWN)] if name.startswith(UNKNOWN) else KNOWN[name]
 
 
+def ranges(variant: Variant) -> str:
+    """Describe the ranges from which the benchmark draws a variant."""
+    sign = {"set": "", "add": "+", "times": "x "}
+    both = {"set": "", "add": "±", "times": "x or / "}
+    return ", ".join(
+        f"`{path}` {both[knob.how] if knob.either_way else sign[knob.how]}"
+        + (f"{knob.low:g}" if knob.low == knob.high else f"{knob.low:g} .. {knob.high:g}")
+        for knob in variant
+        for path in knob.paths
+    )
+
+
 def given(
     robot: RobotParameters, variant: Variant, values: Sequence[float]
 ) -> tuple[RobotParameters, dict[str, float]]:

@@ -1,9 +1,10 @@
 """Markdown tables and reliability diagram of a score."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from softarm.diagnosis.blind.imperfections import UNKNOWN, UNKNOWNS, ranges
 from softarm.diagnosis.blind.score import OUTCOMES, ScoredRig
 from softarm.reporting.colours import LIGHT
 
@@ -20,18 +21,10 @@ def detection(found: Mapping[str, Any]) -> str:
     for row in found["causes"]:
         limit = "- | -" if row["share"] is None else f"{row['found']:.3g} | {row['share']:.2f}"
         lines.append(f"| {row['cause']} | {row['drawn']} | {limit} |")
+    unknown = [(UNKNOWN + name, variant) for name, variants in UNKNOWNS.items() for variant in variants]
+    lines += [f"| {name} | {ranges(variant)} | no effect of the registry | |" for name, variant in unknown]
     named = f"{found['healthy named']} of {found['healthy']} healthy robots got a name."
     return "\n".join([*lines, "", f"{found['draws']} robots for each row; {named}"]) + "\n"
-
-
-def strength(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return the table of docs/evidence/blind.md with the strength of every cause's weakest form."""
-    lines = ["| cause | drawn | its weakest shows in | changes | nuisances | ratio |", "|---|---|---|---|---|---|"]
-    for row in rows:
-        ratio = "inf" if row["ratio"] is None else f"{row['ratio']:.1f}"
-        figures = f"{row['changes']:.3g} | {row['nuisances']:.3g} | {ratio}"
-        lines.append(f"| {row['cause']} | {row['drawn']} | {row['signal']} | {figures} |")
-    return "\n".join(lines) + "\n"
 
 
 def measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
