@@ -37,7 +37,7 @@ ALWAYS_SHOWN = ("clock", "observation")  # counted stages that are listed withou
 KINDS_LEAST = 3  # kinds of excitation
 OTHERS_MAX = 3  # explanations that one experiment separates from the named one
 # Share of a tolerance that 95 of 100 well-kept robots stay within, measured on robots with one known cause each.
-TOLERANCE_95 = 0.7
+TOLERANCE_95 = 0.6
 AT_BOUND_MIN = 50.0  # gain of an effect at its bound that is worth a warning
 
 
