@@ -135,7 +135,8 @@ def _named_effects(comparison: Comparison, found: Examination, decided: Decided)
             NamedEffect(
                 name=name,
                 parameters=parameters,
-                confidence=confidence("robot", effect),
+                # In an incomplete answer an effect may stand in for the unknown cause of the rest.
+                confidence=confidence("robot", effect) if decided.decision.kind == "named" else None,
                 equivalents=effect.equivalents,
                 shrink=effect_shrink(comparison, found.plain, effect, without[name], decided.fit),
             )

@@ -1,8 +1,11 @@
 """Two trials of a body that shares no line with the simulator: its one fault is named with its size, and no other."""
 
+import numpy as np
 import pytest
 
-from softarm.diagnosis.blind.cases import PROGRAMME
+from softarm.diagnosis.blind.cases import PROGRAMME, with_trials
+from softarm.diagnosis.blind.imperfections import UNKNOWNS, draw_nuisances, given
+from softarm.diagnosis.blind.make import write_case
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.diagnose import diagnose
 from softarm.reality.parameters import Arm, RobotParameters
@@ -44,3 +47,14 @@ def test_joint_friction_within_its_tolerance_is_named_if_the_noise_resolves_it(t
     torque = effect.parameters["torque"]
     assert effect.name == "arm.coulomb_friction"
     assert 0.0 <= torque.low < friction_nm < torque.high
+
+
+@pytest.mark.prove
+def test_a_name_of_an_incomplete_answer_has_no_confidence(tmp_path):
+    random = np.random.default_rng(5)
+    robot = draw_nuisances(RobotParameters(), random)
+    robot, _ = given(robot, UNKNOWNS["stribeck_stiction"][0], [8.6, 0.18])
+    place = tmp_path / write_case(with_trials("stiction", "unknown", [], robot, random), tmp_path)
+    verdict = diagnose(read_all([place]), Model()).verdict
+    assert verdict.verdict == "incomplete"
+    assert [(effect.name, effect.confidence) for effect in verdict.effects] == [("rail.coulomb_friction", None)]
