@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, grown, lanes_of, worn
 
@@ -95,8 +96,10 @@ def cart(
     x = np.tile(path[0], copies)
     v, y, w, force = np.zeros_like(x), x.copy(), np.zeros_like(x), np.zeros_like(x)
     play = Play(p["gap_m"], x)
-    late = np.round(p["delay_s"] / dt_s).astype(int)
-    follows = np.where(p["lag_s"] > 0, 1 - np.exp(-dt_s / np.maximum(p["lag_s"], 1e-9)), 1.0)
+    late = np.floor(p["delay_s"] / dt_s).astype(int)
+    rest = p["delay_s"] / dt_s - late  # share of a step during which the previous force still acts
+    lag = np.maximum(p["lag_s"], 1e-9)
+    follows = 1 - np.exp(-dt_s / lag)
     weight = p["mass_kg"] * GRAVITY_M_S2 * np.sin(p["slope_rad"]) + p["force_n"]
     asked = np.zeros((len(path) // each + 1, trials))
     out, last = np.empty((len(path), len(lanes))), np.round(path[0] / controller.encoder_step_m)
@@ -114,11 +117,18 @@ def cart(
             asked[i // each] = _requested_force(
                 controller, path, i, each * dt_s, each, counts * controller.encoder_step_m, speed
             )
-        received = asked[np.maximum(i - late, 0) // each, of]
-        received = np.where(late > i, 0.0, received)
+        out[i] = play.step(x)
+        received = (1 - rest) * _received(asked, i - late, each, of) + rest * _received(asked, i - late - 1, each, of)
         strong = (1 + p["gain"]) * (1 - p["drift"] * grown(clock_s + t))
-        force += (received * strong - force) * follows
-        push = force + weight - p["viscous_n_s_m"] * v - p["drag_n_s2_m2"] * v * np.abs(v)
+        behind = (force - received * strong) * follows
+        push = (
+            received * strong
+            + behind * lag / dt_s
+            + weight
+            - p["viscous_n_s_m"] * v
+            - p["drag_n_s2_m2"] * v * np.abs(v)
+        )  # with the mean force of the step
+        force -= behind
         push += p["ripple_n"] * np.sin(2 * np.pi * x / p["ripple_pitch_m"])
         push += p["hum_n"] * np.sin(2 * np.pi * (clock_s + t))
         push -= p["bumper_n_m"] * np.maximum(x - p["bumper_m"], 0.0)
@@ -130,11 +140,15 @@ def cart(
             y += dt_s * w
             push -= pull
         v += dt_s * push / mass
-        x += dt_s * v
+        x += dt_s * (v - dt_s * push / mass / 2)  # exact for a constant force
         if not np.any(springs):
             y[:] = x
-        out[i] = play.step(x)
     return out, asked
+
+
+def _received(asked: Array, step: NDArray[np.int_], each: int, of: NDArray[np.int_]) -> Array:
+    """Return the force of each lane that was requested at a step, N [L]; 0 before the first."""
+    return np.where(step < 0, 0.0, asked[np.maximum(step, 0) // each, of])
 
 
 def _requested_force(

@@ -224,7 +224,7 @@ def _drive(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ran
         sent = each * dt * np.arange(count)
         _, stamps = _stamps(rig, duration, random)
         stamps = sent if rig.one_file else np.maximum(stamps, 0.0)
-        clean = _clean(dt * np.arange(1, steps + 1), fine[:, trial::k], stamps)[:, :, None]
+        clean = _clean(t, fine[:, trial::k], stamps)[:, :, None]
         runs.append(Run(case.excitations[trial], sent, {"force": asked[:count, trial]}, stamps, clean, clean[0]))
     return runs
 

@@ -144,11 +144,32 @@ def test_a_cart_follows_its_path_and_its_variants_are_reset():
     assert apart[1001] < 0.05 * apart[999] < apart[999]
 
 
+def test_a_cart_feels_its_force_after_the_exact_delay_and_lag():
+    controller = Controller(2.0, 20.0, 1e3, 1e-6)
+    dt, each, steps, fine = 1e-3, 2, 2000, 50
+    path = -0.1 * np.cos(2 * np.pi * dt * np.arange(steps))[:, None] * np.ones(2)
+    delay_s, lag_s = 0.0137, 0.02  # no multiple of the step
+    lanes = [{"mass_kg": 2.0, "delay_s": delay_s}, {"mass_kg": 2.0, "lag_s": lag_s}]
+    out, asked = cart(path, lanes, np.zeros(2), dt, each, controller)
+    t = dt / fine * (np.arange(steps * fine) + 0.5)  # middles of small steps
+    sample = np.floor((t - delay_s) / (each * dt)).astype(int)
+    late = np.where(t < delay_s, 0.0, asked[np.maximum(sample, 0), 0])
+    now, kept, lagging = asked[(t / (each * dt)).astype(int), 1], math.exp(-dt / fine / lag_s), np.empty_like(t)
+    level = 0.0
+    for i, wanted in enumerate(now):
+        level += (wanted - level) * (1 - kept)
+        lagging[i] = level
+    for lane, force in enumerate((late, lagging)):
+        speed = np.cumsum(force) * dt / fine / 2.0
+        want = path[0, 0] + np.concatenate(([0.0], np.cumsum(speed) * dt / fine))[: steps * fine : fine]
+        assert np.max(np.abs(out[:, lane] - want)) < 2e-4, lane
+
+
 def test_a_load_on_a_spring_swings_at_its_frequency():
     controller = Controller(1.0, 1e-6, 1e9, 1e-9)
     lanes = [{"mass_kg": 1.0, "spring_rad_s": 30.0, "force_n": 1.0}]
     out, _ = cart(np.zeros((5000, 1)), lanes, ONE, 1e-4, 10, controller)
-    t = 1e-4 * np.arange(1, 5001)
+    t = 1e-4 * np.arange(5000)
     # Two free bodies, by the reduced mass.
     w, decay = 30.0 / math.sqrt(1 - 0.35), SPRING_ZETA * 30.0 / (1 - 0.35)
     turn = math.sqrt(w * w - decay * decay)
