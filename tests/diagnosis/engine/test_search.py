@@ -128,7 +128,7 @@ def test_the_linearisation_error_of_a_nuisance_is_counted():
 
 
 @dataclass
-class _Dial(Gauge):
+class _Amplifier(Gauge):
     """A gauge with a wrong gain, seen in small inputs only, where a cubic law resembles a gain."""
 
     gain: float = 1.0
@@ -164,6 +164,6 @@ def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains
     new = FittedParameter("stage.cubic.strength", "-", 0.0, -1.0, 1.0, 0.3, 0.0, tolerance=tolerance)
     known = [Candidate("stage.gain", "stage", (own,), ((1.3,), (0.7,)), constant=True)]
     known.append(Candidate("stage.cubic", "stage", (new,), ((0.2,), (-0.2,))))
-    setup = Setup([_Dial(**law)], (Nuisance("stage.gain.scale", 1.0, 0.97, 1.03),), ("sine", "other"))
+    setup = Setup([_Amplifier(**law)], (Nuisance("stage.gain.scale", 1.0, 0.97, 1.03),), ("sine", "other"))
     search = Search(setup.weighed(), setup.plain(), ("stage",), known, ROBOT)
     assert search.run(lambda what, share: None).chosen.names == names
