@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from softarm.reality.rigs.presets import RIGS, Kind, Rig
+from softarm.reality.rigs.presets import RIGS, Kind, Rig, mass_of
 from softarm.reality.rigs.record import nominal
 from softarm.schemas.verdict import Estimate
 
@@ -21,7 +21,7 @@ def _beyond_nominal_delay(rig: Rig, value: float) -> float:
 
 
 def _relative_mass(rig: Rig, value: float) -> float:
-    return value / float(rig.parameters["mass_kg"]) - 1  # type: ignore[arg-type]
+    return value / mass_of(rig) - 1
 
 
 def _hertz(rig: Rig, value: float) -> float:
@@ -29,6 +29,13 @@ def _hertz(rig: Rig, value: float) -> float:
 
 
 # Setting of a fault -> effect.parameter of the diagnosis, and its size in standard units.
+_CHAIN: Final[Mapping[str, tuple[str, Size]]] = {
+    "drag_n_s2_m2": ("drag.coefficient", _same),
+    "payload_kg": ("payload.mass", _same),
+    "tilt_rad": ("tilt.angle", _same),
+    "strength": ("gain.scale", _same),
+    "delay_s": ("dead_time.delay", _beyond_nominal_delay),
+}
 _SIZES: Final[Mapping[Kind, Mapping[str, tuple[str, Size]]]] = {
     "tracking": {
         "delay_s": ("dead_time.delay", _beyond_nominal_delay),
@@ -56,22 +63,14 @@ _SIZES: Final[Mapping[Kind, Mapping[str, tuple[str, Size]]]] = {
         "lag_s": ("lag.time", _same),
         "gap_m": ("backlash.gap", _same),
     },
-    "pendulum": {"moment": ("stiffness.scale", _same), "payload_kg": ("payload.mass", _same)},
-    "chain": {},
-}
-_CHAIN: Final[Mapping[str, tuple[str, Size]]] = {
-    "drag_n_s2_m2": ("drag.coefficient", _same),
-    "payload_kg": ("payload.mass", _same),
-    "tilt_rad": ("tilt.angle", _same),
-    "strength": ("gain.scale", _same),
-    "delay_s": ("dead_time.delay", _beyond_nominal_delay),
+    "pendulum": {"moment": ("stiffness.scale", _same), **_CHAIN},
+    "chain": _CHAIN,
 }
 
 
 def true_sizes(truth: Mapping[str, Any]) -> dict[str, float]:
     """Return the true value of each `effect.parameter` that a case's truth states, in standard units."""
-    rig, kind = RIGS[truth["rig"]], truth["kind"]
-    table = {**_SIZES[kind], **(_CHAIN if kind in ("pendulum", "chain") else {})}
+    rig, table = RIGS[truth["rig"]], _SIZES[truth["kind"]]
     found = {}
     for cause in truth["causes"]:
         settings = cause["settings"]

@@ -114,11 +114,13 @@ class Search:
         chosen, seen = null_model, {frozenset[str]()}
         while True:
             progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
-            ranked = self.ranked(chosen)
-            good = [(f, g) for f, g in ranked if self.is_gain(g) and self.is_nameable(f, g)]
+            good: list[tuple[Fit, Gain]] = []
+            others: list[tuple[Fit, Gain]] = []
+            for fit, gain in self.ranked(chosen):
+                (good if self.is_gain(gain) and self.is_nameable(fit, gain) else others).append((fit, gain))
             if not good or len(chosen.effects) == EFFECTS_MAX:
                 return chosen
-            if self.is_contested(*good[0], [each for each in ranked if each not in good]):
+            if self.is_contested(*good[0], others):
                 return chosen
             further = self.pruned(self.swapped(good[0][0]))
             if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:

@@ -120,15 +120,11 @@ def cart(
         out[i] = play.step(x)
         received = (1 - rest) * _received(asked, i - late, each, of) + rest * _received(asked, i - late - 1, each, of)
         strong = (1 + p["gain"]) * (1 - p["drift"] * grown(clock_s + t))
-        behind = (force - received * strong) * follows
-        push = (
-            received * strong
-            + behind * lag / dt_s
-            + weight
-            - p["viscous_n_s_m"] * v
-            - p["drag_n_s2_m2"] * v * np.abs(v)
-        )  # with the mean force of the step
+        wanted = received * strong
+        behind = (force - wanted) * follows
         force -= behind
+        mean = wanted + behind * lag / dt_s  # over the step
+        push = mean + weight - p["viscous_n_s_m"] * v - p["drag_n_s2_m2"] * v * np.abs(v)
         push += p["ripple_n"] * np.sin(2 * np.pi * x / p["ripple_pitch_m"])
         push += p["hum_n"] * np.sin(2 * np.pi * (clock_s + t))
         push -= p["bumper_n_m"] * np.maximum(x - p["bumper_m"], 0.0)
