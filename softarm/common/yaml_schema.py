@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
 from functools import partial
 from typing import Any, TypeVar
 
@@ -67,19 +68,21 @@ def _rest(document: Document, data: Any, schema: type[M]) -> M | None:
         try:
             return _validated(data, schema)
         except ValidationError as error:
+            data = deepcopy(data)
             for item in error.errors(include_url=False):
-                data = _without(data, document.known(item["loc"]))
+                _remove(data, document.known(item["loc"]))
     return None
 
 
-def _without(data: Any, place: Place) -> Any:
-    """Return a copy of data without the value at a place; a place in a list removes the whole list."""
+def _remove(data: Any, place: Place) -> None:
+    """Remove the value at a place from data; a place in a list removes the whole list."""
     if not place or not isinstance(data, dict) or place[0] not in data:
-        return data
+        return
     name, *inner = place
     if inner and isinstance(data[name], dict):
-        return data | {name: _without(data[name], tuple(inner))}
-    return {key: value for key, value in data.items() if key != name}
+        _remove(data[name], tuple(inner))
+    else:
+        del data[name]
 
 
 def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:
