@@ -68,7 +68,8 @@ def test_only_the_missing_effect_of_the_seed_is_named(out, diagnosed):
     verdict = diagnosed(out).verdict
     assert _names(diagnosed(out)) == sorted(out)
     assert verdict.verdict == "named"
-    assert all(effect.equivalents == () for effect in verdict.effects)
+    for effect in verdict.effects:  # a limited force leaves 1.8 % more of the gap than a limited acceleration
+        assert effect.equivalents == (("rail.force_limit",) if effect.name == "rail.acceleration_limit" else ())
     assert verdict.where.stage in {name.partition(".")[0] for name in out}
 
 
