@@ -5,38 +5,35 @@ measured one. No acceleration is needed, so an encoder suffices, and an inexact 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_mass_effects
-from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.grid import held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import driven_mass as laws
-from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
+from softarm.diagnosis.rigs.motion import (
+    Motion,
+    motions,
+    period,
+    summed_twice,
+    window_edges,
+    window_lengths,
+    within_windows,
+)
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, common_column, given_values, neutral_values
 from softarm.simulator.effects import Effect
 
 # Columns that can drive the mass -> their unit, in the order in which they are looked for.
 DRIVEN_BY = {"force": "N", "current": "A", "voltage": "V"}
-# Samples are averaged down to this rate, or to this many per period of the motion if that is more.
-RATE_HZ, SAMPLES_PER_PERIOD = 100.0, 100
-# Length of a window as a share of the usual period: a small force must show, and the error of an inexact model grows
-# with the square of the time. BLOCK_WINDOWS windows count as one independent stretch.
-WINDOW_PERIODS, SAMPLES_LEAST, BLOCK_WINDOWS = 0.8, 16, 2
 STEPS_PER_PERIOD, SUBSTEPS_MOST = 60, 8
 # Number of spring frequencies that are tried, with this load share.
 TRIED, NUDGED = 20, 0.05
 # Iterations of the fit of a window's start.
 ROUNDS = 3
-# Lengths of smoothing filters, samples; the longest whose residual is at most NOISE_MORE times the noise is used.
-SMOOTHED = (5, 9, 17, 33, 65)
-NOISE_MORE = 1.3
 # Uncertainty of the input's stamps, in steps: the input may be held or sampled.
 HELD_LATE = 0.5
 # Errors of a good nominal model: shares of its gain, of its own values, and of the usual force.
@@ -52,18 +49,6 @@ _MODEL = {
     "delay_s": "dead_time.delay",
 }
 _INPUT = ("dead_time.delay", "latency.delay", "deadband.width", "ceiling.limit", "lag.time", "gain.scale")
-
-
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """Measured motion of one trial."""
-
-    grid: Grid
-    seen: Array  # [T]; NaN in gaps
-    position: Array  # [T] smoothed, or integrated from the speed
-    speed: Array  # [T]
-    noise: float
-    spread: Array  # [2] uncertainty of position and speed at the start of a window
 
 
 class DrivenMassView(RigView):
@@ -83,15 +68,15 @@ class DrivenMassView(RigView):
         step = resolution([t.channel("measured")[column] for t in trials])
         inputs = [held_integral(t.channel("force"), t.channel("force")[driver], 10.0) for t in trials]
         limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
-        self._motions = _motions(trials, column, step, limit)
+        self._motions = motions(trials, column, step, limit, speed_alone=self._speed_alone)
         length = stage.unit("measured", column).removesuffix("/s") or ("rad" if rotary else "m")
         scales = _scales(trials, self._motions, driver, abs(self._gain), limit, step, length, "N m" if rotary else "N")
         self._inputs, self._scales = inputs, scales
         own = driven_mass_effects(stage.name, scales, self._speed_alone)
         self._known = neutral_values(own) | {path: stage.number(key, 0.0) for key, path in _MODEL.items()}
         self._known |= given_values(stage, own)
-        window_s, self.block_s = _window_lengths(scales, self._motions)
-        self._edges = [_edges(m.grid, window_s) for m in self._motions]
+        window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
+        self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_PER_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
         self._late: dict[tuple[int, float], Array] = {}
         self._forces: dict[tuple[float, ...], list[Array]] = {}
@@ -106,8 +91,7 @@ class DrivenMassView(RigView):
             step,
             signals,
         )
-        parts = [m.seen[a:b] for m, e in zip(self._motions, self._edges, strict=True) for a, b in pairwise(e)]
-        swing = np.sqrt(np.nanmean(np.concatenate([p - np.nanmean(p) for p in parts if np.isfinite(p).any()]) ** 2))
+        swing = within_windows(self._motions, self._edges)
         self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
         self._windows = [self._starts(m, e) for m, e in zip(self._motions, self._edges, strict=True)]
         self._fit = laws.Fit(float(self.floor[0]), scales.step_s, self._each, ROUNDS, self._speed_alone)
@@ -218,7 +202,7 @@ class DrivenMassView(RigView):
             self._late[k, delay_s] = np.diff(at) / h
         return self._late[k, delay_s]
 
-    def _starts(self, m: _Motion, edges: NDArray[np.int64]) -> laws.Windows:
+    def _starts(self, m: Motion, edges: NDArray[np.int64]) -> laws.Windows:
         """Windows of a trial with the measured state at the start of each."""
         first = edges[:-1]
         direction = np.where(np.abs(m.speed) > 0.05 * self._scales.speed, np.sign(m.speed), 0.0)
@@ -245,17 +229,8 @@ class DrivenMassView(RigView):
             "position": m.position - m.position.mean(),
         }
         for name, values in sums.items():
-            signals[f"{name}, summed"] = _summed_twice(values, edges, m.grid.step_s, self._speed_alone)
+            signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s, once=self._speed_alone)
         return signals
-
-
-def _summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, once: bool) -> Array:
-    """Motion since a window's start under a force of these values on a unit mass: speed (once) or position."""
-    out = np.empty_like(values)
-    for a, b in pairwise(edges):
-        speed = np.cumsum(values[a:b]) * step_s
-        out[a:b] = speed if once else np.cumsum(speed) * step_s
-    return out
 
 
 def _largest(signals: Sequence[Array]) -> float:
@@ -268,69 +243,9 @@ def _largest(signals: Sequence[Array]) -> float:
     return largest
 
 
-def _motions(trials: Sequence[Trial], column: str, step: float, limit: float) -> list[_Motion]:
-    """Measured motions on grids that are finer for fast motion; limit: largest acceleration from the input."""
-    rate = RATE_HZ
-    for _ in range(2):
-        found = [_motion(grid(t.channel("measured"), rate, (column,)), column, step, limit) for t in trials]
-        finer = SAMPLES_PER_PERIOD / _period(found, column, limit)
-        if finer <= rate:
-            break
-        rate = finer
-    return found
-
-
-def _motion(g: Grid, column: str, step: float, limit: float) -> _Motion:
-    seen = g.columns[column]
-    known = np.isfinite(seen)
-    whole = np.interp(g.t_s, g.t_s[known], seen[known])
-    noise = max(float(np.std(np.diff(whole, 3))) / np.sqrt(20.0), step / np.sqrt(12.0), 1e-12)
-    width = SMOOTHED[0]
-    for wider in SMOOTHED[1:]:
-        if wider >= len(whole) or np.std(whole - savgol_filter(whole, wider, 2)) > NOISE_MORE * noise:
-            break
-        width = wider
-    smooth = savgol_filter(whole, width, 2)
-    span = width * g.step_s
-    if column == "velocity":
-        position, speed = np.cumsum(smooth) * g.step_s, smooth
-        spread = np.array([1.0, 3 * noise + 0.1 * limit * span])
-    else:
-        position, speed = smooth, savgol_filter(whole, width, 2, deriv=1, delta=g.step_s)
-        slope = noise * np.sqrt(12.0 / (width * (width**2 - 1))) / g.step_s
-        spread = np.array([5 * noise + 0.1 * limit * span**2, 3 * slope + 0.1 * limit * span])
-    return _Motion(g, seen, position, speed, noise, spread)
-
-
-def _period(motions: Sequence[_Motion], column: str, limit: float) -> float:
-    """Period of the usual motion: of a sine with the same travel and speed, or with the same travel at `limit`.
-
-    limit: largest acceleration; the second period is the shorter one where friction takes most of the force.
-    """
-    found = []
-    for m in motions:
-        x = m.speed if column == "velocity" else m.position
-        v = np.gradient(m.speed, m.grid.step_s) if column == "velocity" else m.speed
-        swing = float(np.std(x))
-        pushed = swing / limit if column == "velocity" else (np.sqrt(2) * swing / limit) ** 0.5
-        moved = swing / max(float(np.sqrt(np.mean(v**2))), 1e-12)
-        found.append(min(2 * np.pi * min(pushed, moved), float(m.grid.t_s[-1] - m.grid.t_s[0])))
-    return max(float(np.median(found)), 20 * motions[0].grid.step_s)
-
-
-def _window_lengths(s: DrivenMassScales, motions: Sequence[_Motion]) -> tuple[float, float]:
-    """Length of a window, and of an independent stretch of whole windows, s."""
-    trial_s = float(np.median([m.grid.t_s[-1] - m.grid.t_s[0] for m in motions]))
-    least = min(max(WINDOW_PERIODS * s.period_s, SAMPLES_LEAST * s.step_s), trial_s / 2)
-    # A whole number of windows per standard block, or of blocks per window, because window starts affect the fit.
-    window = BLOCK_S * round(least / BLOCK_S) if least > BLOCK_S else BLOCK_S / max(int(BLOCK_S / least), 1)
-    wanted = min(max(BLOCK_WINDOWS * window, trial_s / STRETCHES_MOST), trial_s / STRETCHES_LEAST)
-    return window, window * max(round(wanted / window), 1)
-
-
 def _scales(
     trials: Sequence[Trial],
-    motions: Sequence[_Motion],
+    measured: Sequence[Motion],
     driver: str,
     gain: float,
     limit: float,
@@ -338,10 +253,10 @@ def _scales(
     length: str,
     force_unit: str,
 ) -> DrivenMassScales:
-    column = "position" if "position" in motions[0].grid.columns else "velocity"
+    column = "position" if "position" in measured[0].grid.columns else "velocity"
     largest = _largest([t.channel("force")[driver] for t in trials])
-    speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in motions])), 0.99))
-    travel = float(max(np.ptp(m.position) for m in motions))
+    speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in measured])), 0.99))
+    travel = float(max(np.ptp(m.position) for m in measured))
     return DrivenMassScales(
         length=length,
         force_unit=force_unit,
@@ -351,16 +266,7 @@ def _scales(
         usual=gain * float(np.mean([np.mean(np.abs(t.channel("force")[driver])) for t in trials])),
         speed=max(speed, 1e-9),
         travel=max(travel, 1e-9),
-        resolution=max(step, *(m.noise for m in motions)),
-        step_s=float(np.median([m.grid.step_s for m in motions])),
-        period_s=_period(motions, column, limit),
+        resolution=max(step, *(m.noise for m in measured)),
+        step_s=float(np.median([m.grid.step_s for m in measured])),
+        period_s=period(measured, limit, speed_alone=column == "velocity"),
     )
-
-
-def _edges(g: Grid, window_s: float) -> NDArray[np.int64]:
-    """First samples of all windows, and the end [W + 1]; a rest of less than half a window joins the last one."""
-    number = ((g.t_s - g.t_s[0]) / window_s + 1e-9).astype(int)
-    edges = [*(part.start for part in slices(number)), len(number)]
-    if len(edges) > 2 and (edges[-1] - edges[-2]) * g.step_s < 0.5 * window_s:
-        del edges[-2]
-    return np.array(edges)

@@ -1,0 +1,140 @@
+"""Measured motion of one axis or joint, smoothed, and its windows, whose starts a view fits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.whitened import BLOCK_S, slices
+from softarm.diagnosis.rigs.grid import Grid, grid
+from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
+
+# Samples are averaged down to this rate, or to this many per period of the motion if that is more.
+RATE_HZ, SAMPLES_PER_PERIOD = 100.0, 100
+# Length of a window as a share of the usual period: a small force must show, and the error of an inexact model grows
+# with the square of the time. BLOCK_WINDOWS windows count as one independent stretch.
+WINDOW_PERIODS, SAMPLES_LEAST, BLOCK_WINDOWS = 0.8, 16, 2
+# Lengths of smoothing filters, samples; the longest whose residual is at most NOISE_MORE times the noise is used.
+SMOOTHED = (5, 9, 17, 33, 65)
+NOISE_MORE = 1.3
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Measured motion of one trial."""
+
+    grid: Grid
+    seen: Array  # [T]; NaN in gaps
+    position: Array  # [T] smoothed, or integrated from the speed
+    speed: Array  # [T]
+    acceleration: Array  # [T]
+    noise: float
+    spread: Array  # [2] uncertainty of position and speed at the start of a window
+
+
+def motion(g: Grid, column: str, step: float, limit: float, *, speed_alone: bool = False) -> Motion:
+    """Return the smoothed motion of a column.
+
+    Args:
+        g: measured columns of one trial.
+        column: column of the position, or of the speed if `speed_alone`.
+        step: resolution of the encoder; 0 if it has none.
+        limit: largest acceleration.
+        speed_alone: whether the speed is measured instead of the position.
+    """
+    seen = g.columns[column]
+    known = np.isfinite(seen)
+    whole = np.interp(g.t_s, g.t_s[known], seen[known])
+    noise = max(float(np.std(np.diff(whole, 3))) / np.sqrt(20.0), step / np.sqrt(12.0), 1e-12)
+    width = SMOOTHED[0]
+    for wider in SMOOTHED[1:]:
+        if wider >= len(whole) or np.std(whole - savgol_filter(whole, wider, 2)) > NOISE_MORE * noise:
+            break
+        width = wider
+    smooth, slope = (savgol_filter(whole, width, 2, deriv=d, delta=g.step_s) for d in (0, 1))
+    span = width * g.step_s
+    if speed_alone:
+        spread = np.array([1.0, 3 * noise + 0.1 * limit * span])
+        return Motion(g, seen, np.cumsum(smooth) * g.step_s, smooth, slope, noise, spread)
+    curve = savgol_filter(whole, width, 2, deriv=2, delta=g.step_s)
+    unsure = noise * np.sqrt(12.0 / (width * (width**2 - 1))) / g.step_s
+    spread = np.array([5 * noise + 0.1 * limit * span**2, 3 * unsure + 0.1 * limit * span])
+    return Motion(g, seen, smooth, slope, curve, noise, spread)
+
+
+def motions(
+    trials: Sequence[Trial], column: str, step: float, limit: float, *, speed_alone: bool = False
+) -> list[Motion]:
+    """Return the measured motion of every trial, on grids that are finer for fast motion; arguments as `motion`."""
+    rate = RATE_HZ
+    for _ in range(2):
+        grids = [grid(t.channel("measured"), rate, (column,)) for t in trials]
+        found = [motion(g, column, step, limit, speed_alone=speed_alone) for g in grids]
+        finer = SAMPLES_PER_PERIOD / period(found, limit, speed_alone=speed_alone)
+        if finer <= rate:
+            break
+        rate = finer
+    return found
+
+
+def period(found: Sequence[Motion], limit: float, *, speed_alone: bool = False) -> float:
+    """Return the period of the usual motion, s.
+
+    It is that of a sine with the same travel and speed, or with the same travel and the largest acceleration if that
+    is shorter, as where friction takes most of the force.
+
+    Args:
+        found: motion of every trial.
+        limit: largest acceleration.
+        speed_alone: whether the speed is measured instead of the position.
+    """
+    periods = []
+    for m in found:
+        x, v = (m.speed, np.gradient(m.speed, m.grid.step_s)) if speed_alone else (m.position, m.speed)
+        swing = float(np.std(x))
+        pushed = swing / limit if speed_alone else (np.sqrt(2) * swing / limit) ** 0.5
+        moved = swing / max(float(np.sqrt(np.mean(v**2))), 1e-12)
+        periods.append(min(2 * np.pi * min(pushed, moved), float(m.grid.t_s[-1] - m.grid.t_s[0])))
+    return max(float(np.median(periods)), 20 * found[0].grid.step_s)
+
+
+def window_lengths(period_s: float, step_s: float, found: Sequence[Motion]) -> tuple[float, float]:
+    """Return the length of a window, and of an independent stretch of whole windows, s."""
+    trial_s = float(np.median([m.grid.t_s[-1] - m.grid.t_s[0] for m in found]))
+    least = min(max(WINDOW_PERIODS * period_s, SAMPLES_LEAST * step_s), trial_s / 2)
+    # A whole number of windows per standard block, or of blocks per window, because window starts affect the fit.
+    window = BLOCK_S * round(least / BLOCK_S) if least > BLOCK_S else BLOCK_S / max(int(BLOCK_S / least), 1)
+    wanted = min(max(BLOCK_WINDOWS * window, trial_s / STRETCHES_MOST), trial_s / STRETCHES_LEAST)
+    return window, window * max(round(wanted / window), 1)
+
+
+def window_edges(g: Grid, window_s: float) -> NDArray[np.int64]:
+    """Return the first samples of all windows, and the end [W + 1].
+
+    A rest of less than half a window joins the last one.
+    """
+    number = ((g.t_s - g.t_s[0]) / window_s + 1e-9).astype(int)
+    edges = [*(part.start for part in slices(number)), len(number)]
+    if len(edges) > 2 and (edges[-1] - edges[-2]) * g.step_s < 0.5 * window_s:
+        del edges[-2]
+    return np.array(edges)
+
+
+def within_windows(found: Sequence[Motion], edges: Sequence[NDArray[np.int64]]) -> float:
+    """Return the RMS of the measured values about their mean in each window."""
+    parts = [m.seen[a:b] for m, e in zip(found, edges, strict=True) for a, b in pairwise(e)]
+    return float(np.sqrt(np.nanmean(np.concatenate([p - np.nanmean(p) for p in parts if np.isfinite(p).any()]) ** 2)))
+
+
+def summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, *, once: bool = False) -> Array:
+    """Return the position (`once`: speed) since a window's start under a force of these values [T] on a unit mass."""
+    out = np.empty_like(values)
+    for a, b in pairwise(edges):
+        speed = np.cumsum(values[a:b]) * step_s
+        out[a:b] = speed if once else np.cumsum(speed) * step_s
+    return out
