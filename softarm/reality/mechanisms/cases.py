@@ -1,0 +1,179 @@
+"""Cases of the mechanisms' benchmark: a robot, its faults and recordings, all drawn from one seed."""
+
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.robots import ROBOTS, JointLaw, Robot
+
+TRIALS = ("multisine", "holds", "multisine")
+DURATION_S = 20.0
+OFF = 0.02  # largest share by which a healthy model's numbers are off
+STRENGTHS = (1.0, 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Usual sizes of one joint."""
+
+    torque: float
+    inertia: float
+    speed: float
+    half: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of a joint: the names that are right, and its law at a strength of one."""
+
+    names: tuple[str, ...]
+    law: Callable[[JointLaw, Scale, float], JointLaw]
+    needs: str = ""  # "follows", "driven" or "" for any joint
+
+
+def _changed(**more: Callable[[Scale, float], float]) -> Callable[[JointLaw, Scale, float], JointLaw]:
+    return lambda law, scale, share: replace(law, **{name: of(scale, share) for name, of in more.items()})
+
+
+FAULTS: Final[Mapping[str, Fault]] = {
+    "friction": Fault(("coulomb_friction",), _changed(more_dry=lambda s, x: 0.25 * x * s.torque)),
+    "damping": Fault(("damping",), _changed(more_viscous=lambda s, x: 0.3 * x * s.torque / s.speed)),
+    "rotor": Fault(("armature",), _changed(more_inertia=lambda s, x: 0.5 * x * s.inertia)),
+    "weak": Fault(("gain",), _changed(gain=lambda s, x: 1 - 0.3 * x), "driven"),
+    "soft": Fault(("position_gain",), _changed(stiff=lambda s, x: 1 - 0.4 * x), "follows"),
+    "late": Fault(("dead_time", "latency"), _changed(delay_s=lambda s, x: 0.05 * x), "driven"),
+    "slow": Fault(("lag",), _changed(lag_s=lambda s, x: 0.08 * x), "driven"),
+    "dead": Fault(("deadband",), _changed(dead=lambda s, x: 0.03 * x * s.half), "follows"),
+    "play": Fault(("backlash",), _changed(play=lambda s, x: 0.04 * x * s.half)),
+    "limit": Fault(("ceiling",), _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)), "driven"),
+    "spring": Fault(("spring",), _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half)),
+    "pull": Fault(("torque_offset", "command_bias"), _changed(torque=lambda s, x: 0.3 * x * s.torque), "driven"),
+}
+UNKNOWNS: Final[Mapping[str, Fault]] = {
+    "cogging": Fault((), _changed(cogging=lambda s, x: 0.25 * x * s.torque)),
+    "tiring": Fault((), _changed(tiring=lambda s, x: 0.9 * x), "driven"),
+    "uneven": Fault((), _changed(uneven=lambda s, x: 0.25 * x * s.torque)),
+    "bent": Fault((), _changed(bent=lambda s, x: 0.05 * x * s.half)),
+}
+
+
+def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str) -> None:
+    """Record one case: its input in FOLDER/data/NAME and its causes in FOLDER/truths/NAME.json.
+
+    Args:
+        folder: place of the benchmark.
+        name: name of the case.
+        seed: seed of the benchmark.
+        index: number of the case; robots take turns.
+        category: "single", "half", "two", "none" or "unknown".
+    """
+    random = np.random.default_rng((seed, index))
+    robot = list(ROBOTS.values())[index % len(ROBOTS)]
+    laws, masses = _healthy(robot, random)
+    strength = STRENGTHS[1] if category == "half" else STRENGTHS[0]
+    count = {"none": 0, "two": 2}.get(category, 1)
+    table, causes = UNKNOWNS if category == "unknown" else FAULTS, []
+    scales = scales_of(robot)
+    joints = random.permutation(robot.judged)[:count] if count <= len(robot.judged) else [robot.judged[0]] * count
+    for joint in map(str, joints):
+        fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
+        key = str(random.choice(fits))
+        laws[joint] = table[key].law(laws[joint], scales[joint], strength * random.uniform(0.8, 1.25))
+        causes.append({"fault": key, "joint": joint, "names": list(table[key].names)})
+    truth = Truth(laws, masses)
+    place = folder / "data" / name
+    place.mkdir(parents=True, exist_ok=True)
+    for number, kind in enumerate(TRIALS):
+        record(robot, truth, kind, DURATION_S, random).write(place / f"{kind}-{number}.csv")
+    shutil.copy(robot.model, place / "robot.xml")
+    (place / "stage.yaml").write_text(stage_text(robot), encoding="utf-8")
+    about: dict[str, Any] = {"case": name, "robot": robot.name, "category": category, "causes": causes}
+    (folder / "truths").mkdir(exist_ok=True)
+    (folder / "truths" / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def stage_text(robot: Robot) -> str:
+    """Return the stage.yaml of a robot's recordings."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(robot.model))
+    slides = {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
+
+    def channel(name: str, columns: Sequence[tuple[str, str, str]]) -> list[str]:
+        head = [f"  {name}:", "    time: {source: t, unit: s}", "    columns:"]
+        return head + [f"      {own}: {{source: {source}, unit: {unit}}}" for own, source, unit in columns]
+
+    def unit(joint: str) -> str:
+        return "m" if joint in slides else "rad"
+
+    lines = ["kind: mujoco", "channels:"]
+    lines += channel("measured", [(j, f"q_{j}", unit(j)) for j in robot.judged])
+    commands = []
+    for i in range(model.nu):
+        joint = model.joint(model.actuator_trnid[i, 0]).name
+        torque = "N" if joint in slides else "N m"
+        commands.append((model.actuator(i).name, f"cmd_{joint}", unit(joint) if joint in robot.follows else torque))
+    lines += channel("command", commands)
+    if robot.moved:
+        lines += channel("base", [(j, f"q_{j}", unit(j)) for j in robot.moved])
+    lines += ["model: {mjcf: robot.xml}", "trials:"]
+    lines += [f"  - {{files: {kind}-*.csv, kind: {kind}}}" for kind in dict.fromkeys(TRIALS)]
+    return "\n".join(lines) + "\n"
+
+
+def scales_of(robot: Robot) -> dict[str, Scale]:
+    """Return the usual sizes of a robot's joints, from a recording of its model as it is."""
+    import mujoco
+
+    found = record(robot, Truth({}), "multisine", 8.0, np.random.default_rng(0)).columns
+    model = mujoco.MjModel.from_xml_path(str(robot.model))
+    data = mujoco.MjData(model)
+    names = [model.joint(i).name for i in range(model.njnt)]
+    q = np.stack([found[f"q_{name}"] for name in names], axis=1)
+    kernel = np.ones(9) / 9
+    q = np.stack([np.convolve(np.convolve(x, kernel, "same"), kernel, "same") for x in q.T], axis=1)
+    v = np.gradient(q, 1 / robot.rate_hz, axis=0)
+    a = np.gradient(v, 1 / robot.rate_hz, axis=0)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    torques = np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        torques[k] = data.qfrc_inverse
+    inner = slice(20, -20)
+    inertia = np.ravel(model.dof_M0)
+    return {
+        name: Scale(
+            torque=float(np.sqrt(np.mean((torques[inner, i] - np.mean(torques[inner, i])) ** 2)))
+            or float(model.dof_frictionloss[i]),
+            inertia=float(inertia[i]),
+            speed=float(np.sqrt(np.mean(v[inner, i] ** 2))),
+            half=float(np.ptp(q[inner, i])) / 2,
+        )
+        for i, name in enumerate(names)
+    }
+
+
+def _healthy(robot: Robot, random: np.random.Generator) -> tuple[dict[str, JointLaw], dict[str, float]]:
+    """Return laws whose numbers are off by one to two per cent, and factors of the masses."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(robot.model))
+
+    def off() -> float:
+        return 1 + float(random.choice((-1, 1)) * random.uniform(OFF / 2, OFF))
+
+    laws = {name: JointLaw(viscous=off(), dry=off(), armature=off(), gain=off()) for name in robot.judged}
+    return laws, {model.body(i).name: off() for i in range(1, model.nbody)}
+
+
+def _fits(robot: Robot, joint: str, fault: Fault) -> bool:
+    if fault.needs == "follows":
+        return joint in robot.follows
+    return fault.needs == "" or joint not in robot.free

@@ -1,0 +1,218 @@
+"""Recording of a mechanism: rigid bodies by MuJoCo, actuators, friction and sensors by laws of their own."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.reality.mechanisms.robots import JointLaw, Robot
+
+Array = NDArray[np.float64]
+
+STEP_S = 5e-4
+GIVE = 1e-3  # turn after which dry friction has its full value (Dahl)
+GRIP = 0.05  # damping of the friction's bristles, as a share of its stiffness, s
+HARMONICS = 7
+NOISE = 2e-4  # RMS of a reading, as a share of the half range
+HOLD_S = 1.6  # of a commanded level
+TURN = 2 * np.pi
+HEAVY = 1e7  # armature of a joint that is moved from outside
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A mechanism as it really is."""
+
+    laws: Mapping[str, JointLaw]
+    masses: Mapping[str, float] = field(default_factory=dict)  # body -> factor
+    payload_kg: float = 0.0  # at the centre of the last body
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Columns of one recording, [T] each, by name."""
+
+    columns: Mapping[str, Array]
+
+    def write(self, path: Path) -> None:
+        """Write the columns as CSV."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            out = csv.writer(file)
+            out.writerow(self.columns)
+            out.writerows([f"{x:.7g}" for x in row] for row in zip(*self.columns.values(), strict=True))
+
+
+def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.random.Generator) -> Recording:
+    """Record one motion; columns are t, cmd_JOINT, and q_JOINT of every joint.
+
+    Args:
+        robot: mechanism.
+        truth: its true laws.
+        kind: "multisine" or "holds".
+        duration_s: length of the recording, s.
+        random: source of the motion and of the noise.
+    """
+    plant = _Plant(robot, truth)
+    count, each = round(duration_s * robot.rate_hz), round(1 / robot.rate_hz / STEP_S)
+    t = np.asarray(np.arange(count * each) * STEP_S, dtype=np.float64)
+    wanted = {name: _motion(kind, t, half, robot, random) for name, half in {**robot.follows, **robot.pushed}.items()}
+    carried = {name: _motion("multisine", t, half, robot, random) for name, half in robot.moved.items()}
+    rows, sent = plant.run(t, wanted, carried, each)
+    columns: dict[str, Array] = {"t": t[::each]}
+    columns |= {f"cmd_{name}": values for name, values in sent.items()}
+    halves = {**robot.follows, **robot.pushed, **robot.moved}
+    for name, values in rows.items():
+        step = robot.step.get(name, 1e-3)
+        noisy = values + NOISE * halves.get(name, 0.5) * random.normal(size=count)
+        columns[f"q_{name}"] = np.asarray(np.round(noisy / step) * step)
+    return Recording(columns)
+
+
+def _motion(kind: str, t: Array, half: float, robot: Robot, random: np.random.Generator) -> Array:
+    """Return positions within a half range, [T]; they begin at rest in the middle."""
+    rise = np.minimum(t / 1.0, 1.0)
+    if kind == "holds":
+        levels = random.uniform(-half, half, int(t[-1] / HOLD_S) + 2)
+        steps = levels[(t / HOLD_S).astype(int)]
+        # A planner turns steps into ramps.
+        kept, smooth = np.exp(-STEP_S / 0.12), np.empty_like(t)
+        first = second = 0.0
+        for i, x in enumerate(steps * rise):
+            first = x + (first - x) * kept
+            second = first + (second - first) * kept
+            smooth[i] = second
+        return smooth
+    frequency = np.geomspace(robot.slow_hz, robot.fast_hz, HARMONICS)
+    size = (frequency / frequency[0]) ** -0.6
+    phase = random.uniform(0, TURN, HARMONICS)
+    waves = (size[:, None] * np.sin(TURN * frequency[:, None] * t + phase[:, None])).sum(axis=0)
+    return np.asarray(half * rise * waves / np.abs(waves).max())
+
+
+class _Plant:
+    """Mechanism in MuJoCo, with joint torques from outside."""
+
+    def __init__(self, robot: Robot, truth: Truth) -> None:
+        import mujoco
+
+        self.mujoco: Any = mujoco
+        self.robot, self.truth = robot, truth
+        self.nominal = mujoco.MjModel.from_xml_path(str(robot.model))
+        model = self.model = mujoco.MjModel.from_xml_path(str(robot.model))
+        model.opt.timestep, model.opt.integrator = STEP_S, int(mujoco.mjtIntegrator.mjINT_EULER)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+        model.dof_damping[:] = 0.0
+        model.dof_frictionloss[:] = 0.0
+        self.names = [model.joint(i).name for i in range(model.njnt)]
+        for i, name in enumerate(self.names):
+            law = truth.laws.get(name, JointLaw())
+            model.dof_armature[i] = law.armature * self.nominal.dof_armature[i] + law.more_inertia
+        for name in robot.moved:
+            model.dof_armature[self.names.index(name)] = HEAVY
+        for body, factor in truth.masses.items():
+            number = model.body(body).id
+            model.body_mass[number] *= factor
+            model.body_inertia[number] *= factor
+        model.body_mass[model.nbody - 1] += truth.payload_kg
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def run(
+        self, t: Array, wanted: Mapping[str, Array], carried: Mapping[str, Array], each: int
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Return readings of every joint and commands, [T / each] each."""
+        mujoco, model, robot = self.mujoco, self.model, self.robot
+        data, n = mujoco.MjData(model), len(self.names)
+        law = {key: self._values(key) for key in JointLaw.__slots__}
+        damping = law["viscous"] * self.nominal.dof_damping + law["more_viscous"]
+        dry = law["dry"] * self.nominal.dof_frictionloss + law["more_dry"]
+        drives = [_Drive(self, name, t, each) for name in (*robot.follows, *robot.pushed)]
+        bend, count = np.zeros(n), len(t) // each
+        true, sent = np.empty((len(t), n)), {d.name: np.empty(count) for d in drives}
+        carry = [self._carried(name, path) for name, path in carried.items()]
+        for k in range(len(t)):
+            for i, path, speed, _ in carry:
+                data.qpos[i], data.qvel[i] = path[k], speed[k]
+            q, v = data.qpos, data.qvel
+            true[k] = q
+            bend = np.clip(bend + STEP_S * v, -GIVE, GIVE)
+            level = dry + law["rest"] * np.exp(-((v / law["creep"]) ** 2)) + law["uneven"] * np.sign(v)
+            torque = -damping * v - law["drag"] * v * np.abs(v) - law["spring"] * q + law["torque"]
+            torque -= level / GIVE * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
+            for drive in drives:
+                torque[drive.index] += drive.step(k, wanted[drive.name], q, v, sent)
+            for i, _, _, force in carry:
+                torque[i] = force[k]
+            data.qfrc_applied[:] = torque
+            mujoco.mj_step(model, data)
+        return {name: self._reading(name, true[:, i])[::each] for i, name in enumerate(self.names)}, sent
+
+    def _carried(self, name: str, path: Array) -> tuple[int, Array, Array, Array]:
+        """Return index, path, speed and force of a joint that is moved from outside, whatever its load."""
+        i = self.names.index(name)
+        return i, path, np.gradient(path, STEP_S), HEAVY * np.gradient(np.gradient(path, STEP_S), STEP_S)
+
+    def _values(self, key: str) -> Array:
+        return np.array([getattr(self.truth.laws.get(name, JointLaw()), key) for name in self.names])
+
+    def _reading(self, name: str, q: Array) -> Array:
+        """Return what the encoder shows at every step, [T]."""
+        law = self.truth.laws.get(name, JointLaw())
+        late = round(law.late_s / STEP_S)
+        seen = np.concatenate((np.full(late, q[0]), q[: len(q) - late])) if late else q
+        if law.play:
+            half, at, out = 0.5 * law.play, seen[0], np.empty_like(seen)
+            for i, x in enumerate(seen):
+                at = min(max(at, x - half), x + half)
+                out[i] = at
+            seen = out
+        return np.asarray(seen + law.zero + law.bent * np.sin(seen))
+
+
+class _Drive:
+    """Actuator of one joint: a position loop, or a motor whose commands follow a motion from outside."""
+
+    def __init__(self, plant: _Plant, name: str, t: Array, each: int) -> None:
+        model = plant.nominal
+        self.name, self.index, self.each = name, plant.names.index(name), each
+        self.law = plant.truth.laws.get(name, JointLaw())
+        number = next(i for i in range(model.nu) if model.actuator_trnid[i, 0] == model.joint(name).id)
+        self.follows = name in plant.robot.follows
+        self.gain, self.gear = float(model.actuator_gainprm[number, 0]), float(model.actuator_gear[number, 0])
+        self.kd = -float(model.actuator_biasprm[number, 2])
+        limited = model.actuator_forcelimited[number]
+        self.limit = float(model.actuator_forcerange[number, 1]) if limited else np.inf
+        ctrl = model.actuator_ctrllimited[number]
+        self.most = float(model.actuator_ctrlrange[number, 1]) if ctrl else self.limit / self.gear
+        self.inertia = float(np.ravel(plant.model.dof_M0)[self.index])
+        self.queue = [0.0] * (round(self.law.delay_s / STEP_S) + 1)
+        self.filtered, self.command = 0.0, 0.0
+        self.kept = np.exp(-STEP_S / self.law.lag_s) if self.law.lag_s else 0.0
+        self.tired = 1 - self.law.tiring * t / 60.0
+
+    def step(self, k: int, wanted: Array, q: Array, v: Array, sent: Mapping[str, Array]) -> float:
+        """Return the joint torque of a step; a new command is sent with every sample."""
+        i = self.index
+        if k % self.each == 0:
+            self.command = float(wanted[k])
+            if not self.follows:  # a tracking controller outside, as a user's script has one
+                ahead = min(k + self.each, len(wanted) - 1)
+                speed = (wanted[ahead] - wanted[k]) / (self.each * STEP_S)
+                stiff = self.inertia * 60.0
+                torque = stiff * (wanted[k] - q[i]) + 2 * 0.5 * np.sqrt(stiff * self.inertia) * (speed - v[i])
+                self.command = float(np.clip(torque / self.gear, -self.most, self.most))
+            sent[self.name][k // self.each] = self.command
+        self.queue.append(self.command)
+        late = self.queue.pop(0)
+        self.filtered = late + (self.filtered - late) * self.kept
+        if not self.follows:
+            torque = self.gear * self.filtered
+        else:
+            error = self.filtered - (q[i] + self.law.zero)
+            error -= np.clip(error, -self.law.dead, self.law.dead)
+            torque = self.law.stiff * self.gain * error - self.kd * v[i]
+        limit = min(self.limit, self.law.limit)
+        return float(np.clip(self.law.gain * self.tired[k] * torque, -limit, limit))

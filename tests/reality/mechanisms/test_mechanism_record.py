@@ -1,0 +1,51 @@
+"""Independent mechanisms: recordings are reproducible, and each law changes what it states."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, draw_and_write, scales_of
+from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
+
+
+def columns(robot, laws=None, seconds=3.0, kind="multisine"):
+    return record(ROBOTS[robot], Truth(laws or {}), kind, seconds, np.random.default_rng(0)).columns
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_joint_of_a_robot_exists_in_its_model(name):
+    robot, model = ROBOTS[name], mujoco.MjModel.from_xml_path(str(ROBOTS[name].model))
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    assert joints == {*robot.judged, *robot.moved}
+
+
+def test_the_same_seed_gives_the_same_recording():
+    one, other = columns("camera"), columns("camera")
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
+    found = columns("camera", seconds=6.0)
+    assert np.std(found["cmd_pan"] - found["q_pan"]) < 0.5 * np.std(found["cmd_pan"])
+    assert np.ptp(found["q_track"]) > 0.1
+
+
+@pytest.mark.parametrize("name", [*FAULTS, *UNKNOWNS])
+def test_every_fault_changes_the_recording(name):
+    fault = (FAULTS | UNKNOWNS)[name]
+    scale = scales_of(ROBOTS["camera"])["tilt"]
+    laws = {"tilt": fault.law(JointLaw(), scale, 1.0)}
+    healthy, faulty = columns("camera"), columns("camera", laws)
+    assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
+
+
+def test_a_case_holds_its_input_apart_from_its_causes(tmp_path):
+    draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
+    assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
+        "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",
+    ]  # fmt: skip
+    causes = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
+    assert len({cause["joint"] for cause in causes}) == 2
