@@ -11,9 +11,11 @@ from typing import Literal, get_args
 from softarm.common.quantity import PURE, Quantity, shown
 from softarm.common.words import did_you_mean
 
-StageKind = Literal["tracking", "driven_mass", "pendulum", "chain"]
+StageKind = Literal["tracking", "driven_mass", "pendulum", "chain", "mujoco"]
+# Kinds that recordings alone can describe; the others need a model file.
+DESCRIBED: tuple[StageKind, ...] = tuple(kind for kind in get_args(StageKind) if kind != "mujoco")
 Pairs = tuple[tuple[float, float], ...]
-ModelValue = float | tuple[float, ...] | Pairs
+ModelValue = float | str | tuple[float, ...] | Pairs
 
 LINKS_MAX = 12
 # Base units that a column may have, by the beginning of its name. Other columns may have any unit.
@@ -38,6 +40,7 @@ class Channel:
     any_of: tuple[str, ...]  # at least one of these is required
     others: tuple[str, ...] = ()
     optional: bool = False  # the whole channel
+    named_after: str = ""  # columns may have any name: those of the model's joints or actuators
 
     def needed(self, links: int) -> tuple[str, ...]:
         """Return the names of which at least one column is required."""
@@ -73,6 +76,12 @@ CHANNELS: dict[StageKind, dict[str, Channel]] = {
         "torque": Channel(("torqueN",), optional=True),
         "base": Channel(("position",), optional=True),
     },
+    "mujoco": {
+        "measured": Channel((), named_after="joint"),
+        "command": Channel((), optional=True, named_after="actuator"),
+        "torque": Channel((), optional=True, named_after="joint"),
+        "base": Channel((), optional=True, named_after="joint"),  # joints that are moved from outside
+    },
 }
 
 
@@ -80,7 +89,7 @@ CHANNELS: dict[StageKind, dict[str, Channel]] = {
 class ModelKey(Quantity):
     """One key of `model:`: a quantity, its number of values, and whether it is required."""
 
-    each: Literal["one", "link", "pairs"] = "one"
+    each: Literal["one", "link", "pairs", "text"] = "one"
     needed: bool = False
     instead: str = ""  # the other key that it replaces
     called: tuple[str, ...] = ()  # other spellings, for hints
@@ -153,6 +162,10 @@ MODEL_KEYS: dict[StageKind, tuple[ModelKey, ...]] = {
                  called=("rotor_inertia_kg_m2", "armature"),
                  meaning="rotor behind its gear (inertia x ratio^2) of each joint: counts for the joint's own turning"),
     ),
+    "mujoco": (
+        ModelKey(name="mjcf", each="text", needed=True, called=("urdf", "xml", "file", "path"),
+                 meaning="MJCF or URDF file, relative to the stage.yaml or to the data folder"),
+    ),
 }  # fmt: skip
 
 
@@ -186,6 +199,8 @@ def complaints(kind: StageKind, model: Mapping[object, object], links: int) -> I
 
 def _complaint(key: ModelKey, value: object, links: int) -> str:
     """Return the error of one key's value, or an empty text."""
+    if key.each == "text":
+        return "" if isinstance(value, str) and value else f"is {shown(value)}; allowed a file; write its path"
     if key.each == "pairs":
         return _wrong_map(value)
     if not isinstance(value, list | tuple):
@@ -222,7 +237,9 @@ def table() -> str:
             kinds.setdefault(key, []).append(kind)
     for key, having in kinds.items():
         plain = Quantity(low=key.low, high=key.high, above=key.above).bounds or "any"
-        allowed = {"one": plain, "link": f"{plain}; one for each link", "pairs": "a list of pairs"}[key.each]
+        allowed = {"one": plain, "link": f"{plain}; one for each link", "pairs": "a list of pairs", "text": "a file"}[
+            key.each
+        ]
         default = "needed" if key.needed else "-" if key.default is None else f"{key.default:g}"
         names = ", ".join(having)
         rows.append(f"| {names} | `{key.name}` | {key.unit} | {allowed} | {default} | {key.meaning} |")

@@ -52,6 +52,7 @@ class Column(Strict):
     unit: Unit
     scale: float = 1.0  # value of 1 in the column, in `unit`: 0.0879 deg for a count of 4096
     row: Annotated[int, Field(ge=0)] | None = None  # of a .mat matrix whose rows are the signals
+    element: Annotated[int, Field(ge=0)] | None = None  # place in the lists that the column's cells hold
     missing: Marks | None = None  # instead of those of the table
     add: float = 0.0  # added last, in base units: -pi for an angle that is pi while the pendulum hangs
 
@@ -109,6 +110,11 @@ class Mechanism(Strict):
     elements: dict[str, Annotated[int, Field(ge=0)]] = Field(default_factory=dict)
     channels: Annotated[dict[str, TableChannel], Field(min_length=1)]
     model: dict[str, ModelValue] = Field(default_factory=dict)  # nominal parameters
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Return the names of the stages: of a MuJoCo model its measured joints; empty for a single stage."""
+        return tuple(self.channels["measured"].columns if self.kind == "mujoco" else self.elements)
 
 
 Effects = dict[str, dict[str, float]]  # `stage.effect` -> parameter -> value, in the units of a verdict

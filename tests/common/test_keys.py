@@ -30,7 +30,7 @@ def test_every_key_whose_name_ends_in_a_unit_says_so():
         (StageFile, ("trials", 2, "name"), "a text or null"),
         (StageFile, ("channels", "measured", "columns", "angle1", "row"), "0 or more, a whole number"),
         (StageFile, ("elements", "servo1"), "0 or more, a whole number"),
-        (StageFile, ("model", "lag_s"), "a number or a list in s"),
+        (StageFile, ("model", "lag_s"), "a number or a text or a list in s"),
         (StageFile, ("trials",), "a list"),
         (TrialFile, ("rail",), "'free' or 'held'"),
         (Model, ("arm", "link_mass_kg", 3), "above 0"),

@@ -29,7 +29,12 @@ if TYPE_CHECKING:
 @click.option("--data", type=FOLDER, help="Folder of the data files of a stage.yaml (default: its own folder).")
 @click.option("--json", "json_file", type=FILE, help="Write the verdict to this file.")
 @click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
-@click.option("--patch", "patch_file", type=FILE, help="Write the model with effects and calibration to this file.")
+@click.option(
+    "--patch",
+    "patch_file",
+    type=FILE,
+    help="Write the model with effects and calibration to this file; .xml for a MuJoCo model.",
+)
 @click.option("--calibration/--no-calibration", default=True, help="Write the calibration to the patch as well.")
 @click.option(
     "--budget",
@@ -61,7 +66,7 @@ def diagnose(
     Examples:
       softarm diagnose campaign --json verdict.json --report report.html --patch patched-model.yaml
       softarm diagnose logs/*.mcap --model mine.yaml --report report.html --limits limits-patch.yaml
-      softarm diagnose stage.yaml --data recordings --json verdict.json
+      softarm diagnose stage.yaml --data recordings --json verdict.json --patch patched.xml
     """
     from softarm.common import files
     from softarm.diagnosis import report
@@ -87,7 +92,10 @@ def diagnose(
     patched = result.calibrated if calibration else result.patched
     rig_patch = None
     if patch_file is not None and len(stage_files) == 1:
-        rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
+        if patch_file.suffix == ".xml":
+            rig_patch = _mjcf_patch(stage_files[0], data, result, calibration)
+        else:
+            rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
     with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -109,6 +117,23 @@ def diagnose(
         click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)
     if written:
         click.echo(f"wrote {', '.join(map(str, written))}")
+
+
+def _mjcf_patch(stage: Path, data: Path | None, result: "Diagnosis", calibration: bool) -> str | None:
+    """Return the patched MJCF file of a stage.yaml, and show the changes."""
+    from softarm.diagnosis.data import stage_file
+    from softarm.diagnosis.rigs.mjcf import patch
+
+    (about, *_) = stage_file.load(stage)
+    if about.about.kind != "mujoco":
+        raise click.UsageError(f"--patch: .xml is for a stage of kind mujoco; this is {about.about.kind}: name a .yaml")
+    found = patch.patched(about.file(str(about.about.model["mjcf"]), data or stage.parent), result.verdict, calibration)
+    if found is None:
+        return None
+    click.echo(found.diff.rstrip())
+    for text in found.left_out:
+        click.echo(f"MJCF has no attribute for {text}; --patch FILE.yaml writes it")
+    return found.text
 
 
 def _no_patch(result: "Diagnosis", stage_files: int) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,12 +11,12 @@ from softarm.cli.shared.errors import Failure, fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, INPUT, check_places, write
 from softarm.cli.shared.printing import print_table, waiting
-from softarm.schemas.stage_model import StageKind
+from softarm.schemas.stage_model import DESCRIBED, StageKind
 
 if TYPE_CHECKING:
     from softarm.diagnosis.describe.survey import Survey
 
-KINDS = click.Choice(get_args(StageKind))
+KINDS = click.Choice(DESCRIBED)
 ANGLES = click.Choice(("absolute", "relative"))
 
 

@@ -42,6 +42,12 @@ class Stage:
     trials: tuple[TableTrial, ...]
     effects: Effects  # of all mechanisms of the file
     several: bool  # whether the file describes several mechanisms; names of trials then contain the mechanism
+    folder: Path  # of the stage.yaml
+
+    def file(self, name: str, data: Path) -> Path:
+        """Return the path of a file that the stage.yaml names, in its own folder or else in the data folder."""
+        own = self.folder / name
+        return (own if own.exists() else data / name).resolve()
 
 
 def is_stage(path: Path) -> bool:
@@ -70,15 +76,15 @@ def load(path: Path) -> tuple[Stage, ...]:
                     f"{path}: trials: {', '.join(lacking)} has none; add `trials`, there or for all mechanisms"
                 )
             stages = tuple(
-                Stage(name, each, whole.table, each.trials or whole.trials, whole.effects, True)
+                Stage(name, each, whole.table, each.trials or whole.trials, whole.effects, True, path.parent)
                 for name, each in whole.mechanisms.items()
             )
         else:
             one = fit(document, StageFile, more)
-            stages = (Stage(one.name or called(path), one, one.table, one.trials, one.effects, False),)
+            stages = (Stage(one.name or called(path), one, one.table, one.trials, one.effects, False, path.parent),)
     except FileError as error:
         raise TrialError(str(error)) from None
-    names = [name for stage in stages for name in (*stage.about.elements,) or (stage.name,)]
+    names = [name for stage in stages for name in stage.about.parts or (stage.name,)]
     for effect in stages[0].effects:
         if (own := effect.rpartition(".")[0]) not in names:
             raise TrialError(f"{path}: effects: {effect}: no mechanism {own}; allowed {', '.join(names)}; correct it")

@@ -24,7 +24,7 @@ def findings(data: Any) -> Findings:
         for each in (
             _model(kind, model, links),
             _channels(kind, _group(about, "channels"), links),
-            _units(_group(about, "channels")),
+            _units(kind, _group(about, "channels")),
             _fitting(kind, _group(about, "channels"), model),
             _angles(kind, about),
         ):
@@ -80,7 +80,7 @@ def _channels(kind: StageKind, channels: Mapping[str, Any], links: int) -> Itera
     for name, channel in CHANNELS[kind].items():
         columns, known = _columns(channels, name), channel.columns(links)
         for column in columns:
-            if column not in known:
+            if not channel.named_after and column not in known:
                 near = did_you_mean(column, known)
                 yield (
                     ("channels", name, "columns", column),
@@ -88,10 +88,10 @@ def _channels(kind: StageKind, channels: Mapping[str, Any], links: int) -> Itera
                 )
         if name not in channels:
             if not channel.optional:
-                yield (
-                    ("channels",),
-                    f"a {kind} stage needs a channel {name} with a column {_any(channel.needed(links))}; add it",
-                )
+                wanted = _any(channel.needed(links)) or f"for each {channel.named_after}"
+                yield ("channels",), f"a {kind} stage needs a channel {name} with a column {wanted}; add it"
+        elif channel.named_after:
+            continue
         elif channel.any_of[0].startswith("angle"):
             lacking = [f"angle{i}" for i in range(1, links + 1) if f"angle{i}" not in columns]
             if lacking:
@@ -103,7 +103,7 @@ def _channels(kind: StageKind, channels: Mapping[str, Any], links: int) -> Itera
             yield ("channels", name), f"a {kind} stage needs a column {_any(channel.needed(links))} there; add it"
 
 
-def _units(channels: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
+def _units(kind: StageKind, channels: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
     """Units that do not fit the column's name."""
     for name, channel in channels.items():
         if not isinstance(channel, dict):
@@ -115,6 +115,8 @@ def _units(channels: Mapping[str, Any]) -> Iterator[tuple[Place, str]]:
             unit = standard_unit(about) if isinstance(about, dict) else None
             allowed = COLUMN_UNITS.get(column.rstrip("0123456789"), ())
             allowed = ("m",) if name == "base" else allowed
+            if kind == "mujoco":  # columns have the names of joints and actuators
+                allowed = {"measured": ("rad", "m"), "base": ("rad", "m"), "torque": ("N m", "N")}.get(name, ())
             if unit and allowed and unit not in allowed:
                 yield (
                     ("channels", name, "columns", column, "unit"),

@@ -56,6 +56,10 @@ def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[
     left_out: list[str] = []
     for (trial, at), spreads, drive in zip(checked, moved, driven, strict=True):
         measured, warnings = trial.channels["measured"], list(trial.warnings)
+        if stage_of([trial]).kind == "mujoco" and not any(spreads.values()):
+            name = next(iter(spreads))
+            left_out.append(f"{at('measured', name)}: {name} does not move in this trial, which is left out for it")
+            continue
         if drive is not None and not drive[1] and not any(spreads.values()):
             name = next(iter(spreads))
             text = f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive[0]}"
@@ -91,8 +95,11 @@ def moving(checked: Sequence[tuple[Trial, Columns]]) -> tuple[list[Trial], list[
 def compared_columns(trial: Trial) -> tuple[str, ...]:
     """Return the measured columns that are compared with the model."""
     columns = trial.channels["measured"].columns
-    if stage_of([trial]).kind == "tracking":
+    stage = stage_of([trial])
+    if stage.kind == "tracking":
         return tuple(filter(None, [followed(columns)]))
+    if stage.kind == "mujoco":
+        return (stage.name,)
     return tuple(name for name in columns if not name.startswith(("rate", "effort")))
 
 

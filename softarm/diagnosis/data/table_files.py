@@ -78,6 +78,7 @@ def column(table: Table, about: Column, segment: str | None, element: int | None
     the column does not exist or contains anything but numbers.
     """
     marks = _marks(table, about)
+    element = element if about.element is None else about.element
     values = _numbers(table, about.source, about.row, marks, segment, element)
     for source in about.minus:
         other = _numbers(table, source, about.row, marks, segment, element)
@@ -380,7 +381,7 @@ def _element(table: Table, source: str, i: int, cell: Any, element: int) -> floa
     except (ValueError, TypeError, IndexError):
         raise TrialError(
             f"{table.path}: column {source}, row {table.place(i)}: {cell!r} has no number at place {element}; "
-            "correct `elements` in the stage.yaml, or repair that row"
+            "correct `element` or `elements` in the stage.yaml, or repair that row"
         ) from None
 
 

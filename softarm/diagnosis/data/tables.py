@@ -40,9 +40,9 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
             if isinstance(recording, TrialError):
                 wrong[str(recording)] = None
                 continue
-            for element in tuple(stage.about.elements) or ("",):
+            for element in stage.about.parts or ("",):
                 try:
-                    trial = _trial(stage, recording, element, loaded)
+                    trial = _trial(stage, recording, element, base, loaded)
                 except TrialError as error:
                     wrong[str(error)] = None
                     continue
@@ -65,7 +65,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
-def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, Table]) -> Trial:
+def _trial(stage: Stage, recording: Recording, element: str, base: Path, loaded: dict[Path, Table]) -> Trial:
     about = stage.about
     read: dict[str, _Rows] = {}
     channels: dict[str, Series] = {}
@@ -101,6 +101,10 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
     own = element or stage.name
     named = ((*effect.rpartition("."), of) for effect, of in stage.effects.items())
     effects = {effect: of for mechanism, _, effect, of in named if mechanism == own}
+    model = _in_standard_units(about, units)
+    if about.kind == "mujoco":
+        units["measured"] = {own: units["measured"][own]}
+        model = {"mjcf": str(stage.file(str(about.model["mjcf"]), base))}
     name = f"{recording.name}/{own}" if element or stage.several else recording.name
     return Trial(
         name,
@@ -108,7 +112,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         next(iter(recording.files.values())),
         channels,
         "free",
-        TableStage(own, about.kind, _in_standard_units(about, units), units, about.angles == "relative", effects),
+        TableStage(own, about.kind, model, units, about.angles == "relative", effects),
         tuple(warnings),
         missing,
     )
@@ -209,7 +213,7 @@ def _in_standard_units(about: Mechanism, units: Mapping[str, Mapping[str, TableU
 def _times(value: ModelValue, by: float, from_: float, to: float) -> ModelValue:
     if isinstance(value, tuple):  # a map
         return tuple((command * from_, reached * to) for command, reached in value)  # type: ignore[misc]
-    return value * by
+    return value if isinstance(value, str) else value * by
 
 
 def _absolute(series: Series, links: int) -> Series:

@@ -16,7 +16,7 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe import clocks, headers
 from softarm.diagnosis.describe.clocks import Clock
 from softarm.diagnosis.describe.survey import Signal, Survey
-from softarm.schemas.stage_model import MODEL_KEYS, ModelValue, StageKind, complaints
+from softarm.schemas.stage_model import DESCRIBED, MODEL_KEYS, ModelValue, StageKind, complaints
 
 Angles = Literal["absolute", "relative"]
 # Least correlation of a command and the column that follows it, and the lead in rows that decides.
@@ -167,7 +167,7 @@ class _Draft:
         if not sure and self.answers.command and self.answers.measured:
             sure = kind == "tracking"
         if not sure:
-            raise Unknown(Question("--kind", "", f"kind of mechanism ({why})", tuple(MODEL_KEYS), kind))
+            raise Unknown(Question("--kind", "", f"kind of mechanism ({why})", DESCRIBED, kind))
         return kind, why
 
     def _guess(self) -> tuple[StageKind, str, bool]:

@@ -30,6 +30,7 @@ from softarm.diagnosis.rigs import experiments, subsample
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
+from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
@@ -37,11 +38,12 @@ from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, Nam
 from softarm.simulator.effects import Effect
 
 # Kind of stage -> its view. A new kind is one more line.
-VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView]] = {
+VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]] = {
     "tracking": TrackingView,
     "driven_mass": DrivenMassView,
     "pendulum": ChainView,
     "chain": ChainView,
+    "mujoco": JointView,
 }
 
 # Windows in which small errors grow too much are halved at most so many times.

@@ -19,8 +19,8 @@ from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.grid import windows
 from softarm.diagnosis.rigs.views import RigView
 
-# Length of a stretch, in blocks that count as independent, and the largest number that a recording is cut into.
-BLOCKS_EACH, PIECES_MOST = 4, 8
+# Largest number of stretches that a recording is cut into, for stretches of four blocks.
+PIECES_MOST = 8
 # Share of the budget that a search uses by plan; searches took 0.7 to 1.3 times their plan.
 PLANNED = 0.75
 # Stretches of each kind of excitation that are used at least.
@@ -63,7 +63,7 @@ def within(
     if share >= 1:
         return None
     if not view.fits_starts:
-        stretches = stretches.windows(lambda trial: cut(trial, view.block_s))
+        stretches = stretches.windows(lambda trial: cut(trial, view.block_s, view.blocks_each))
         view = build(stretches.trials)
     sizes = np.bincount(view.trial, minlength=len(stretches.trials)).astype(float)
     kept = most_informative(information(view, known), sizes, [trial.kind for trial in stretches.trials], share)
@@ -80,10 +80,10 @@ def planned_s(view: RigView, known: Sequence[Candidate]) -> float:
     return work.backward(len(known), parameters) * view.rollout_s
 
 
-def cut(trial: Trial, block_s: float) -> tuple[Trial, ...]:
+def cut(trial: Trial, block_s: float, blocks: int) -> tuple[Trial, ...]:
     """Cut a recording into stretches of a few blocks; each keeps the whole input, whose past acts on it."""
     t = trial.channels["measured"].t_s
-    parts = windows(trial, max(BLOCKS_EACH * block_s, float(t[-1] - t[0]) / PIECES_MOST))
+    parts = windows(trial, max(blocks * block_s, blocks / 4 * float(t[-1] - t[0]) / PIECES_MOST))
     return tuple(replace(part, channels={**trial.channels, "measured": part.channels["measured"]}) for part in parts)
 
 

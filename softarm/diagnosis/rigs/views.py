@@ -63,12 +63,14 @@ class RigView:
         fits_starts: whether the start of every window is fitted at every point.
         restarts_few_effects: whether models with few effects are also fitted from their own starting values
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
+        blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
         step_cost_s: processor time of a search per rollout and integration step, s; measured once.
     """
 
     block_s = BLOCK_S
     fits_starts = False
     restarts_few_effects = False
+    blocks_each = 4
     step_cost_s = 0.07e-6
     _each = 1  # integration steps per sample
     _known: dict[str, float]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
-from softarm.diagnosis.rigs.diagnose import VIEWS, view_of
-from softarm.schemas.stage_model import CHANNELS, MODEL_KEYS, complaints
+from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.schemas.stage_model import CHANNELS, DESCRIBED, MODEL_KEYS, complaints
 
 T = np.arange(0, 6, 0.01)
 WAVE = np.sin(3 * T) + 0.5 * np.sin(7.3 * T)
@@ -36,7 +36,7 @@ def residuals(kind, model):
 
 
 @pytest.mark.parametrize(
-    ("kind", "key"), [(kind, key.name) for kind, keys in MODEL_KEYS.items() if kind in VIEWS for key in keys]
+    ("kind", "key"), [(kind, key.name) for kind, keys in MODEL_KEYS.items() if kind in DESCRIBED for key in keys]
 )
 def test_every_key_of_the_model_changes_the_prediction(kind, key):
     links = 2 if "link" in {each.each for each in MODEL_KEYS[kind]} else 1

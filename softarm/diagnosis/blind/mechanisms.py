@@ -1,0 +1,146 @@
+"""Benchmark of the diagnosis on mechanisms with a MuJoCo model: make, answer and score cases.
+
+    python -m softarm.diagnosis.blind.mechanisms make FOLDER --cases 60 --seed 1
+    python -m softarm.diagnosis.blind.mechanisms run FOLDER
+    python -m softarm.diagnosis.blind.mechanisms score FOLDER
+
+FOLDER/data contains the inputs of the diagnosis, FOLDER/truths the causes and FOLDER/answers the verdicts. Robots, laws
+and faults are those of `softarm.reality.mechanisms`.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from softarm.common.processes import as_they_come, bar
+from softarm.diagnosis.blind.rigs import answered, run
+from softarm.diagnosis.data.trials import TrialError
+from softarm.reality.mechanisms.cases import draw_and_write
+
+# Share of each category: one fault, one at half strength, two at two joints, none, and one that no effect expresses.
+SHARES = {"single": 0.25, "half": 0.15, "two": 0.15, "none": 0.3, "unknown": 0.15}
+# Confidence from which a wrong name counts as sure.
+SURE = 0.8
+
+
+def categories(count: int, random: np.random.Generator) -> list[str]:
+    """Return a category for each case, in random order."""
+    found = [name for name, share in SHARES.items() for _ in range(round(share * count))]
+    found += ["single"] * (count - len(found))
+    return [str(each) for each in random.permutation(found[:count])]
+
+
+def make(folder: Path, count: int, seed: int, processes: int) -> int:
+    """Record the cases that are missing, and return their number."""
+    kinds = categories(count, np.random.default_rng(seed))
+    names = [f"mechanism-{seed}-{i:03d}" for i in range(count)]
+    todo = [i for i in range(count) if not (folder / "truths" / f"{names[i]}.json").is_file()]
+    with bar("recording", total=None) as shown:
+        work = partial(_one, folder, names, seed, kinds)
+        for done, (i, _) in enumerate(as_they_come(work, todo, processes), 1):
+            shown.count(names[i], done, len(todo))
+    return len(todo)
+
+
+def _one(folder: Path, names: Sequence[str], seed: int, kinds: Sequence[str], index: int) -> None:
+    draw_and_write(folder, names[index], seed, index, kinds[index])
+
+
+def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """Return right, wrong, part (of two causes), set (several names, the right one among them), silent or failed."""
+    verdict = answer["verdict"]
+    if verdict is None:
+        return "failed"
+    groups = [{effect["name"], *effect["equivalents"]} for effect in verdict["effects"]]
+    causes = [{f"{cause['joint']}.{name}" for name in cause["names"]} for cause in truth["causes"]]
+    known = [cause for cause in causes if cause]
+    if not known:
+        if groups:
+            return "wrong"
+        return "right" if (verdict["verdict"] == "none") != bool(causes) else "silent"
+    if any(not any(group & cause for cause in known) for group in groups):
+        return "wrong"
+    met = [cause for cause in known if any(group & cause for group in groups)]
+    if not met:
+        return "silent"
+    if len(met) < len(known):
+        return "part"
+    return "right" if all(any(group <= cause for cause in known) for group in groups) else "set"
+
+
+def joint_right(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | None:
+    """Return whether the stage with the largest gap has a cause; None without a known cause or a stage."""
+    verdict = answer["verdict"]
+    stage = verdict and verdict["where"]["stage"]
+    if not stage or not any(cause["names"] for cause in truth["causes"]):
+        return None
+    return stage in {cause["joint"] for cause in truth["causes"]}
+
+
+def table(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> str:
+    """Return outcomes by category as a table."""
+    rows = [
+        "| | cases | right | set | part | silent | wrong | failed | right joint |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for category in ("all", *SHARES):
+        own = [(t, a) for t, a in cases if category in ("all", t["category"])]
+        if not own:
+            continue
+        counts = Counter(outcome(t, a) for t, a in own)
+        places = [right for t, a in own if (right := joint_right(t, a)) is not None]
+        cells = [counts[name] for name in ("right", "set", "part", "silent", "wrong", "failed")]
+        rows.append(f"| {category} | {len(own)} | {' | '.join(map(str, cells))} | {sum(places)} of {len(places)} |")
+    return "\n".join(rows)
+
+
+def wrong_lines(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Iterator[str]:
+    """Yield a line for each case that is not right."""
+    for truth, answer in cases:
+        if (found := outcome(truth, answer)) == "right":
+            continue
+        causes = ", ".join(f"{cause['joint']}.{cause['fault']}" for cause in truth["causes"]) or "healthy"
+        verdict = answer["verdict"]
+        named = "; ".join(
+            f"{e['name']} ({e['confidence'] or 0:.2f}) = {', '.join(e['equivalents'])}" for e in verdict["effects"]
+        ) if verdict else answer["failure"]  # fmt: skip
+        stated = verdict["verdict"] if verdict else "failed"
+        yield f"{found:7s} {truth['case']} {truth['robot']}: {causes} -> {stated}: {named} [{answer['seconds']:.0f} s]"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line (`python -m softarm.diagnosis.blind.mechanisms --help`)."""
+    parser = argparse.ArgumentParser(
+        prog="python -m softarm.diagnosis.blind.mechanisms", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("verb", choices=("make", "run", "score"))
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args(arguments)
+    try:
+        if given.verb == "make":
+            print(f"{make(given.folder, given.cases, given.seed, given.processes)} cases recorded in {given.folder}")
+        elif given.verb == "run":
+            with bar("diagnosing", total=None) as shown:
+                run(given.folder, given.processes, shown.count)
+        else:
+            cases = [(truth, reply) for truth, reply in answered(given.folder) if reply is not None]
+            if not cases:
+                raise TrialError(f"{given.folder}: contains no answers; use `run` first")
+            seconds = [reply["seconds"] for _, reply in cases]
+            print(table(cases), *wrong_lines(cases), sep="\n")
+            print(f"processor time: median {median(seconds):.0f} s, worst {max(seconds):.0f} s")
+    except TrialError as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Checks of a joint's recordings against its MuJoCo model before a fit: units, signs, gears and zeros."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint
+
+# Degrees per radian, and the relative tolerance of a ratio that is taken for it.
+DEGREES, ALIKE = 180 / math.pi, 0.2
+# Share of a joint's range by which readings may exceed it.
+BEYOND = 0.25
+# Correlation from which two signals certainly go together, and ratio of two torques that no effect explains.
+TOGETHER, FAR = 0.6, 3.0
+
+
+def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, needed: Array) -> Iterator[str]:
+    """Yield what is certainly wrong in the description of a joint, each with its remedy.
+
+    Args:
+        joint: joint of the model, with its actuator.
+        where: file and channel, for messages.
+        seen: readings, rad or m, [T].
+        command: joint torque, or position of a position loop, that the actuator was sent, [T]; None without one.
+        needed: torque that the measured motion needs by the model, [T].
+    """
+    unit = "rad" if joint.turns else "m"
+    yield from _range(joint, where, seen, unit)
+    if command is None or np.ptp(command) <= 0 or np.ptp(seen) <= 0:
+        return
+    follows = joint.actuator is not None and joint.actuator.kp > 0
+    answer = seen if follows else needed
+    together = float(np.corrcoef(command, answer)[0, 1])
+    name = "moves against its command" if follows else "needs the opposite of the torque that it was given"
+    if together < -TOGETHER:
+        yield f"{where}: {joint.name} {name}; one of the two has the opposite sign: write `scale: -1` for it"
+    elif follows and joint.turns:
+        ratio = float(np.std(seen) / np.std(command))
+        for of, times in (("measured", ratio), ("command", 1 / ratio)):
+            if abs(times / DEGREES - 1) < ALIKE:
+                yield f"{where}: {joint.name} has a {of} range {times:.3g} times as wide; write `unit: deg` there"
+    elif not follows and together > TOGETHER:
+        times = float(command @ answer / (command @ command))
+        if not 1 / FAR < times < FAR:
+            yield (
+                f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
+                "the unit, or write the gear ratio as `gear` of its actuator"
+            )
+
+
+def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:
+    low, high = joint.range
+    if not math.isfinite(high - low):
+        return
+    first, last = float(np.quantile(seen, 0.01)), float(np.quantile(seen, 0.99))
+    allowed = BEYOND * (high - low)
+    if first >= low - allowed and last <= high + allowed:
+        return
+    said = f"{where}: {joint.name} is {first:.3g} to {last:.3g} {unit}, but its range in the model is {low:.3g} to "
+    said += f"{high:.3g} {unit}"
+    if joint.turns and last - first > 3 * (high - low):
+        yield f"{said}; are the readings in degrees? write `unit: deg`"
+    elif last - first <= high - low + 2 * allowed:
+        middle = 0.5 * (low + high) - 0.5 * (first + last)
+        yield f"{said}; their zeros differ: write `add` for the column, such as {middle:.3g}"
+    else:
+        yield f"{said}; correct the column's `unit`, or name another column"

@@ -1,0 +1,299 @@
+"""Effects of one joint of a MuJoCo model and its actuator; bounds and usual sizes come from model and recordings."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from softarm.diagnosis.rigs.effects import of_stage, source
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint
+from softarm.simulator.effect_table import Effect, shape, strength
+
+# Share of the usual torque: a friction that matters.
+USUAL = 0.15
+_FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
+
+# Pairs that are easily mistaken for each other, and the motion that separates them.
+_RIVALS: tuple[tuple[str, str, str], ...] = (
+    ("armature", "gain", "hold still at several angles: a gain changes the torque there, an inertia does not"),
+    ("armature", "mass", "hold still at several angles: only the weight shows there"),
+    ("mass", "payload", "hold still at several angles: a payload's arm is longer"),
+    ("gain", "mass", "swing without torque, or another known mass: only one of them changes then"),
+    ("coulomb_friction", "damping", "free decay: the swing falls linearly with dry friction"),
+    ("coulomb_friction", "deadband", "move slowly against a known load: friction helps to hold it, a dead zone gives"),
+    ("coulomb_friction", "stiction", "slow motion and breaking away: only stiction makes breaking away harder"),
+    ("coulomb_friction", "load_friction", "the same motion with another load: only load friction grows with it"),
+    ("coulomb_friction", "backlash", "reversals under load: play shuts, friction stays"),
+    ("damping", "drag", "speeds of several sizes: drag grows with the square"),
+    ("deadband", "backlash", "reversals under load: play shuts, a dead zone stays"),
+    ("dead_time", "lag", "a step of the command: a dead time starts flat"),
+    ("dead_time", "latency", "the same motion with a second sensor: its stamps separate the two"),
+    ("lag", "latency", "a step of the command: a late reading starts flat, a lag with a slope"),
+    ("rate_limit", "lag", "steps of several sizes: the time grows with the step only for a limit"),
+    ("gain", "position_gain", "fast and slow motion: a gain changes the loop's damping as well"),
+    ("ceiling", "gain", "an amplitude sweep: a limit leaves small torques alone"),
+    ("spring", "payload", "hold still at several angles: a spring's torque is linear in the angle"),
+    ("spring", "mass", "hold still at several angles: a spring's torque is linear in the angle"),
+    ("command_bias", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
+    ("torque_offset", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class JointScales:
+    """Scales of a joint's recordings, in rad and N m (a hinge) or m and N (a slide)."""
+
+    joint: Joint
+    driven: bool  # by an actuator or a measured torque
+    follows: bool  # the actuator is a position loop
+    torque: float  # largest torque that the motion and the loads need
+    usual: float  # mean size of that torque
+    load: float  # largest torque of the weight and of the other joints' motion
+    mass: float  # share of the load that the masses behind the joint make, 0 or 1
+    payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
+    inertia: float  # of the joint
+    speed: float
+    travel: float  # peak to peak
+    resolution: float  # step or noise of the position
+    step_s: float  # sampling interval
+    period_s: float  # period of the usual motion
+    command_rate: float  # fastest change of the command per second; 0 without a command
+
+    @property
+    def length(self) -> str:
+        """Unit of the position."""
+        return "rad" if self.joint.turns else "m"
+
+    @property
+    def force(self) -> str:
+        """Unit of the torque."""
+        return "N m" if self.joint.turns else "N"
+
+
+def joint_effects(stage: str, scales: JointScales) -> tuple[Effect, ...]:
+    """Return every effect that a joint can show in its recordings, in the order in which a command meets it."""
+    drive = _drive(scales) if scales.driven else ()
+    return of_stage(stage, [*drive, *_friction(scales), *_bodies(scales), *_sensor(scales)], _RIVALS)
+
+
+def _drive(s: JointScales) -> Iterator[Effect]:
+    late = min(0.5 * s.period_s, 100 * s.step_s)
+    usual = min(max(2 * s.step_s, 0.02 * s.period_s), 0.5 * late)
+    yield Effect(
+        "dead_time",
+        (strength("delay", "s", 0.0, -0.5 * s.step_s, late, usual, "from the command to the first torque"),),
+        "the actuator reacts late",
+        source("pressure.dead_time"),
+        plain="{stage} reacts {delay} late",
+    )
+    yield Effect(
+        "lag",
+        (strength("time", "s", 0.0, 0.0, late, usual, "time constant"),),
+        "the actuator follows its command as a first-order lag (a filter activation)",
+        source("rail.lag"),
+        plain="the actuator of {stage} follows with a time constant of {time}",
+    )
+    yield Effect(
+        "gain",
+        (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of gain and bias"),),
+        "the actuator makes torque x (1 + scale)",
+        "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
+        plain="the actuator's gain of {stage} is off by {scale}",
+    )
+    if s.follows:
+        most = 0.2 * s.travel
+        yield Effect(
+            "position_gain",
+            (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of kp"),),
+            "the position loop is stiffer or softer: kp x (1 + scale)",
+            "standard proportional position loop",
+            plain="the position loop of {stage} has a gain that is off by {scale}",
+        )
+        yield Effect(
+            "command_bias",
+            (strength("bias", s.length, 0.0, -most, most, 0.02 * s.travel, "added to the command"),),
+            "the zero of the commands differs from the zero of the readings",
+            source("pressure.sensor_bias"),
+            plain="the commands of {stage} are off by {bias}",
+        )
+        yield Effect(
+            "deadband",
+            (strength("width", s.length, 0.0, 0.0, 0.2 * s.travel, 0.01 * s.travel, "either way"),),
+            "errors of the position up to the width make no torque",
+            source("pressure.deadband"),
+            plain="{stage} ignores errors below {width}",
+        )
+        slow = max(s.speed, 1e-6)
+        yield Effect(
+            "rate_limit",
+            (
+                strength(
+                    "rate",
+                    f"{s.length}/s",
+                    math.inf,
+                    0.5 * slow,
+                    max(s.command_rate, 2 * slow),
+                    0.8 * slow,
+                    "of the position that the loop follows",
+                ),
+            ),
+            "the position that the loop follows moves no faster than this (a servo's profile speed)",
+            source("pressure.rate_limit"),
+            plain="{stage} moves by at most {rate}",
+        )
+    else:
+        yield Effect(
+            "torque_offset",
+            (strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),),
+            "a constant torque acts at the joint",
+            source("arm.torque_offset"),
+            plain="a constant {torque} acts at {stage}",
+        )
+    yield Effect(
+        "ceiling",
+        (strength("limit", s.force, math.inf, 0.1 * s.torque, 3 * s.torque, 0.7 * s.torque, "either way"),),
+        "the actuator's torque ends at this (forcerange)",
+        "standard saturation; motors and amplifiers state a peak current",
+        plain="the torque of {stage} ends at {limit}",
+    )
+
+
+def _friction(s: JointScales) -> Iterator[Effect]:
+    usual, per_speed, dry = USUAL * s.usual, f"{s.force} s/{s.length}", s.joint.dry
+    yield Effect(
+        "coulomb_friction",
+        (
+            strength(
+                "torque",
+                s.force,
+                0.0,
+                0.0,
+                max(1.5 * s.torque, 3 * dry),
+                dry + usual,
+                "frictionloss",
+            ),
+        ),
+        "dry friction",
+        source("arm.coulomb_friction"),
+        plain="{stage} has {torque} of dry friction",
+    )
+    yield Effect(
+        "stiction",
+        (
+            strength("torque", s.force, 0.0, 0.0, s.torque, usual, "beyond the sliding friction"),
+            shape("speed", f"{s.length}/s", 0.05 * s.speed, 1e-3 * s.speed, s.speed, 0.05 * s.speed, "37 % remain"),
+        ),
+        "dry friction is larger at rest and at creeping speed (Stribeck)",
+        _FRICTION,
+        plain="{stage} sticks: {torque} more friction at rest",
+    )
+    if s.driven:
+        yield Effect(
+            "load_friction",
+            (strength("share", "-", 0.0, 0.0, 0.9, 0.1, "of the actuator's torque"),),
+            "dry friction grows with the torque that a gear transmits",
+            "Duclusaud et al. 2024, Extended friction models for the physics simulation of servo actuators",
+            plain="the friction of {stage} grows by {share} of its torque",
+        )
+    top, own = 3 * s.torque / s.speed, s.joint.viscous
+    yield Effect(
+        "damping",
+        (strength("viscous", per_speed, 0.0, 0.0, max(top, 3 * own), own + usual / s.speed, "per unit of speed"),),
+        "viscous friction; a motor's back-EMF acts alike",
+        source("arm.damping"),
+        plain="{stage} has viscous friction of {viscous}",
+    )
+    yield Effect(
+        "drag",
+        (
+            strength(
+                "coefficient",
+                f"{s.force} s^2/{s.length}^2",
+                0.0,
+                0.0,
+                top / s.speed,
+                USUAL * s.usual / s.speed**2,
+                "times the speed squared",
+            ),
+        ),
+        "friction grows with the speed squared",
+        source("arm.drag"),
+        plain="drag slows {stage} at speed",
+    )
+
+
+def _bodies(s: JointScales) -> Iterator[Effect]:
+    yield Effect(
+        "armature",
+        (
+            strength(
+                "inertia",
+                "kg m^2" if s.joint.turns else "kg",
+                0.0,
+                0.0,
+                10 * s.inertia,
+                s.joint.armature + 0.2 * s.inertia,
+                "of the rotor, behind its gear",
+            ),
+        ),
+        "the inertia of the rotor",
+        "standard mechanics: rotor inertia times the squared gear ratio",
+        plain="the rotor of {stage} has an inertia of {inertia}",
+    )
+    if s.mass:
+        yield Effect(
+            "mass",
+            (
+                strength(
+                    "scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of all masses and inertias behind the joint"
+                ),
+            ),
+            "the bodies behind the joint have another mass",
+            source("arm.payload"),
+            plain="the mass behind {stage} is off by {scale}",
+        )
+    if math.isfinite(s.payload):
+        yield Effect(
+            "payload",
+            (strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point at the last body's centre"),),
+            "extra mass at the end of the mechanism",
+            source("arm.payload"),
+            plain="{mass} extra hang at the end, behind {stage}",
+        )
+    own = s.joint.spring
+    top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel
+    yield Effect(
+        "spring",
+        (strength("stiffness", f"{s.force}/{s.length}", 0.0, 0.0, top, usual, "about its rest"),),
+        "a spring acts at the joint: a cable, a tube, a balancer",
+        source("arm.stiffness"),
+        plain="a spring of {stiffness} acts at {stage}",
+    )
+
+
+def _sensor(s: JointScales) -> Iterator[Effect]:
+    play = min(max(5 * s.resolution, 0.005 * s.travel), 0.1 * s.travel)
+    yield Effect(
+        "backlash",
+        (strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),),
+        "play between the joint and its sensor",
+        source("rail.backlash"),
+        plain="{stage} has {gap} of play",
+    )
+    if s.load:
+        most = 0.2 if s.joint.turns else 0.2 * s.travel
+        yield Effect(
+            "sensor_bias",
+            (strength("bias", s.length, 0.0, -most, most, 0.1 * most, "reading minus true position"),),
+            "the joint's zero is wrong, so its load acts at another angle",
+            source("pressure.sensor_bias"),
+            plain="the zero of {stage} is off by {bias}",
+        )
+    if s.driven:
+        late = min(0.5 * s.period_s, 100 * s.step_s)
+        yield Effect(
+            "latency",
+            (strength("delay", "s", 0.0, -0.5 * s.step_s, late, min(2 * s.step_s, 0.5 * late), "beyond its stamp"),),
+            "readings are older than their stamps state",
+            source("mocap.latency"),
+            plain="the readings of {stage} are {delay} older than their stamps",
+        )

@@ -1,0 +1,283 @@
+"""Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.common.words import did_you_mean
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.laws import joint as law
+
+INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
+# Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
+NUDGE, NUDGE_SPEED = 0.05, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """Affine actuator of one joint: joint torque = scale command + offset - kp position - kd speed, clipped.
+
+    Units are those of the joint's torque (N m or N) and position (rad or m).
+    """
+
+    name: str
+    scale: float
+    offset: float
+    kp: float
+    kd: float
+    low: float  # -inf without a limit
+    high: float
+    command_low: float
+    command_high: float
+    lag_s: float
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Joint with its nominal passive terms, in rad and N m (a hinge) or m and N (a slide)."""
+
+    name: str
+    turns: bool  # hinge
+    position: int  # index in qpos
+    dof: int  # index in qvel
+    viscous: float
+    dry: float
+    spring: float
+    rest: float
+    armature: float
+    range: tuple[float, float]  # -inf, inf without a limit
+    actuator: Actuator | None
+    end: str  # body at the end of the mechanism behind this joint
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Change of the rigid bodies behind a joint."""
+
+    mass_share: float = 0.0  # of all masses and inertias behind the joint
+    payload_kg: float = 0.0  # point mass at the centre of the joint's last body
+
+
+class Mechanism:
+    """Joints of a model, by name, and their rigid-body terms."""
+
+    def __init__(self, path: Path) -> None:
+        """Load an MJCF or URDF file.
+
+        Raises:
+            TrialError: MuJoCo is missing, the file is invalid, or the model is a closed chain.
+        """
+        self.path, self._mujoco = path, _mujoco(path)
+        self.model = _loaded(self._mujoco, path)
+        self.step_s = float(self.model.opt.timestep)
+        self._refuse_loops()
+        self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
+        flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
+        option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
+        kinds = (int(self._mujoco.mjtJoint.mjJNT_HINGE), int(self._mujoco.mjtJoint.mjJNT_SLIDE))
+        single = (i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds)
+        self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
+        self.actuators = tuple(self._name("actuator", i) for i in range(self.model.nu))
+
+    def joint(self, name: str) -> Joint:
+        """Return a joint; raise TrialError with the known names if there is none."""
+        if name not in self.joints:
+            near = did_you_mean(name, self.joints)
+            raise TrialError(
+                f"{self.path}: no hinge or slide joint {name}; {near}the model has {', '.join(self.joints)}; "
+                "name the column after its joint"
+            )
+        return self.joints[name]
+
+    def terms(self, joint: Joint, motion: Mapping[str, Sequence[Array]], change: Change = Change()) -> Array:
+        """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
+
+        Args:
+            joint: the joint; its own acceleration is left out, since the law computes it.
+            motion: joint name -> position, speed and acceleration [T each]; other joints stay at their zero.
+            change: change of the bodies behind the joint.
+        """
+        mujoco, model = self._mujoco, self._changed(joint, change)
+        data, dof, at = mujoco.MjData(model), joint.dof, joint.position
+        size = len(motion[joint.name][0])
+        qpos, qvel, qacc = np.tile(model.qpos0, (size, 1)), np.zeros((size, model.nv)), np.zeros((size, model.nv))
+        for name, (position, speed, acceleration) in motion.items():
+            other = self.joints[name]
+            qpos[:, other.position], qvel[:, other.dof], qacc[:, other.dof] = position, speed, acceleration
+        qacc[:, dof] = 0.0
+
+        def needed(k: int, position: float = 0.0, speed: float = 0.0, acceleration: float = 0.0) -> float:
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+            data.qpos[at] += position
+            data.qvel[dof] += speed
+            data.qacc[dof] += acceleration
+            mujoco.mj_inverse(model, data)
+            return float(data.qfrc_inverse[dof])
+
+        found = np.empty((law.ROWS, size))
+        for k in range(size):
+            load = needed(k)
+            inertia = needed(k, acceleration=1.0) - load
+            by_position = (needed(k, position=NUDGE) - needed(k, position=-NUDGE)) / (2 * NUDGE)
+            by_speed = (needed(k, speed=NUDGE_SPEED) - load) / NUDGE_SPEED
+            zero = load - by_position * qpos[k, at] - by_speed * qvel[k, dof]
+            found[:, k] = inertia, zero, by_position, by_speed
+        return found
+
+    def touching(self, motion: Mapping[str, Sequence[Array]]) -> NDArray[np.bool_]:
+        """Return whether bodies touch at each sample of a measured motion, [T]."""
+        mujoco, model = self._mujoco, self.model
+        size = len(next(iter(motion.values()))[0])
+        found = np.zeros(size, dtype=bool)
+        if not (model.ngeom and (model.geom_contype | model.geom_conaffinity).any()):
+            return found
+        data = mujoco.MjData(model)
+        for k in range(size):
+            data.qpos[:] = model.qpos0
+            for name, (position, *_) in motion.items():
+                data.qpos[self.joints[name].position] = position[k]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
+            found[k] = data.ncon > 0
+        return found
+
+    def _changed(self, joint: Joint, change: Change) -> Any:
+        """Return the rigid bodies with a change, without the joint's own spring, damper and friction."""
+        model = copy.copy(self._bodies)
+        number = self.model.dof_jntid[joint.dof]
+        model.dof_damping[joint.dof], model.dof_armature[joint.dof] = 0.0, joint.armature
+        model.jnt_stiffness[number] = 0.0
+        bodies = self._behind(joint.dof)
+        model.body_mass[bodies] *= 1 + change.mass_share
+        model.body_inertia[bodies] *= 1 + change.mass_share
+        if change.payload_kg:
+            model.body_mass[self._body(joint.end)] += change.payload_kg
+        self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
+        return model
+
+    def _behind(self, dof: int) -> list[int]:
+        """Return the bodies that a joint moves."""
+        found = [int(self.model.dof_bodyid[dof])]
+        for body in range(found[0] + 1, self.model.nbody):
+            if self.model.body_parentid[body] in found:
+                found.append(body)
+        return found
+
+    def _body(self, name: str) -> int:
+        return int(self.model.body(name).id)
+
+    def _name(self, kind: str, number: int) -> str:
+        return str(getattr(self.model, kind)(number).name) or f"{kind}{number}"
+
+    def _refuse_loops(self) -> None:
+        kinds = self._mujoco.mjtEq
+        loops = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
+        if any(kind in loops for kind in self.model.eq_type):
+            raise TrialError(
+                f"{self.path}: the model closes a loop (an equality `connect` or `weld`), which is not supported; "
+                "allowed are open trees; describe one branch without the equality"
+            )
+
+    def _joint(self, number: int) -> Joint:
+        m, dof = self.model, int(self.model.jnt_dofadr[number])
+        low, high = m.jnt_range[number] if m.jnt_limited[number] else (-np.inf, np.inf)
+        position = int(m.jnt_qposadr[number])
+        return Joint(
+            name=self._name("joint", number),
+            turns=bool(m.jnt_type[number] == int(self._mujoco.mjtJoint.mjJNT_HINGE)),
+            position=position,
+            dof=dof,
+            viscous=float(m.dof_damping[dof]),
+            dry=float(m.dof_frictionloss[dof]),
+            spring=float(m.jnt_stiffness[number]),
+            rest=float(m.qpos_spring[position]),
+            armature=float(m.dof_armature[dof]),
+            range=(float(low), float(high)),
+            actuator=self._actuator(number),
+            end=self._name("body", self._behind(dof)[-1]),
+        )
+
+    def _actuator(self, number: int) -> Actuator | None:
+        """Return the actuator of a joint, or None; raise TrialError for one that is not affine in its command."""
+        m, mujoco = self.model, self._mujoco
+        here = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        own = [i for i in range(m.nu) if m.actuator_trntype[i] in here and m.actuator_trnid[i, 0] == number]
+        if not own:
+            return None
+        name, i = self._name("actuator", own[0]), own[0]
+        if len(own) > 1:
+            others = ", ".join(self._name("actuator", k) for k in own)
+            raise TrialError(
+                f"{self.path}: joint {self._name('joint', number)} has {len(own)} actuators ({others}); allowed is "
+                "one; join them, or leave the joint's column out"
+            )
+        dynamics = (
+            int(mujoco.mjtDyn.mjDYN_NONE),
+            int(mujoco.mjtDyn.mjDYN_FILTER),
+            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+        )
+        affine = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+        fixed = int(mujoco.mjtGain.mjGAIN_FIXED)
+        if (
+            m.actuator_gaintype[i] != fixed
+            or m.actuator_biastype[i] not in affine
+            or m.actuator_dyntype[i] not in dynamics
+        ):
+            raise TrialError(
+                f"{self.path}: actuator {name} is neither a motor, position, velocity nor general actuator with fixed "
+                "gain and affine bias; write it as one of these, or leave its joint's column out"
+            )
+        gear, bias = float(m.actuator_gear[i, 0]), m.actuator_biasprm[i] * (m.actuator_biastype[i] != affine[0])
+        low, high = -np.inf, np.inf
+        if m.actuator_forcelimited[i]:
+            low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
+        if m.jnt_actfrclimited[number]:
+            low, high = max(low, float(m.jnt_actfrcrange[number, 0])), min(high, float(m.jnt_actfrcrange[number, 1]))
+        ctrl = m.actuator_ctrlrange[i] if m.actuator_ctrllimited[i] else (-np.inf, np.inf)
+        delay = getattr(m, "actuator_delay", None)
+        return Actuator(
+            name=name,
+            scale=gear * float(m.actuator_gainprm[i, 0]),
+            offset=gear * float(bias[0]),
+            kp=-gear * gear * float(bias[1]),
+            kd=-gear * gear * float(bias[2]),
+            low=low,
+            high=high,
+            command_low=float(ctrl[0]),
+            command_high=float(ctrl[1]),
+            lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != dynamics[0] else 0.0,
+            delay_s=0.0 if delay is None else float(delay[i]),
+        )
+
+
+@cache
+def mechanism(path: Path) -> Mechanism:
+    """Return the mechanism of a model file, loaded once."""
+    return Mechanism(path)
+
+
+def _mujoco(path: Path) -> Any:
+    try:
+        import mujoco
+    except ImportError:
+        raise TrialError(f"{path}: {INSTALL}") from None
+    return mujoco
+
+
+def _loaded(mujoco: Any, path: Path) -> Any:
+    if not path.is_file():
+        raise TrialError(f"{path}: does not exist; write the path of the MJCF or URDF file under `model: mjcf`")
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise TrialError(f"{path}: MuJoCo cannot read the model ({said}); correct the file") from None

@@ -1,0 +1,173 @@
+"""Patch of an MJCF file: findings of a diagnosis as changed attributes, with all other text as it was."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+import numpy as np
+
+from softarm.common.quantity import factor
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint, mechanism
+from softarm.schemas.verdict import Verdict
+
+# Parameter of a joint's effect -> attribute of its `joint` element.
+_JOINT = {
+    "coulomb_friction.torque": "frictionloss",
+    "damping.viscous": "damping",
+    "armature.inertia": "armature",
+    "spring.stiffness": "stiffness",
+}
+_ACTUATORS = ("position", "velocity", "motor", "general", "intvelocity", "damper", "cylinder", "muscle", "adhesion")
+_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class MjcfPatch:
+    """Patched MJCF file with its difference."""
+
+    text: str
+    diff: str  # unified diff against the original
+    left_out: tuple[str, ...]  # findings that the file cannot express, each with its value
+
+
+def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None:
+    """Return an MJCF file with the findings of its diagnosis, or None if there are none.
+
+    Args:
+        path: MJCF file.
+        verdict: its verdict.
+        calibration: whether calibrated parameters are written as well.
+    """
+    found = {each.name: _standard(each.value, each.unit) for each in verdict.calibration if calibration}
+    for effect in verdict.effects:
+        found |= {f"{effect.name}.{name}": _standard(of.value, of.unit) for name, of in effect.parameters.items()}
+    if not found:
+        return None
+    before = path.read_text()
+    model, edits, left_out = mechanism(path), _Edits(before), []
+    payloads: dict[str, list[float]] = {}
+    for place, value in sorted(found.items()):
+        name, _, parameter = place.partition(".")
+        joint = model.joint(name)
+        if parameter == "payload.mass":
+            payloads.setdefault(joint.end, []).append(value)
+        elif not _written(edits, joint, parameter, value, found):
+            left_out.append(f"{place} = {value:.{_DIGITS}g}")
+    for body, masses in payloads.items():
+        mass = float(np.mean(masses))  # several joints weigh the same one
+        if not edits.add_mass(body, mass):
+            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at body {body}, which has no `inertial` element")
+    after = edits.text
+    lines = difflib.unified_diff(
+        before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
+    )
+    return MjcfPatch(after, "".join(lines), tuple(left_out))
+
+
+def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:
+    """Write a parameter into the file and return whether the format can express it."""
+    if parameter in _JOINT:
+        return edits.set(("joint",), joint.name, _JOINT[parameter], _short(value))
+    actuator = joint.actuator
+    if actuator is None:
+        return False
+    if parameter == "ceiling.limit":
+        return edits.set(_ACTUATORS, actuator.name, "forcerange", f"{_short(-value)} {_short(value)}")
+    if parameter == "lag.time":
+        return edits.set(("position", "intvelocity", "cylinder"), actuator.name, "timeconst", _short(value))
+    if parameter not in ("gain.scale", "position_gain.scale"):
+        return False
+    factor = 1 + found.get(f"{joint.name}.gain.scale", 0.0)
+    stiff = factor * (1 + found.get(f"{joint.name}.position_gain.scale", 0.0))
+    if edits.kind(_ACTUATORS, actuator.name) == "position":
+        edits.set(("position",), actuator.name, "kp", _short(stiff * actuator.kp))
+        return edits.set(("position",), actuator.name, "kv", _short(factor * actuator.kd))
+    if edits.kind(_ACTUATORS, actuator.name) == "motor":
+        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.scale))
+    return False
+
+
+class _Edits:
+    """Text of an XML file whose attributes are changed in place."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def set(self, tags: Iterable[str], name: str, attribute: str, value: str) -> bool:
+        """Set an attribute of the element with a tag and name; return False if the file holds no such element."""
+        place = self._place(tuple(tags), name, inside=False)
+        if place is None:
+            return False
+        start, end, _ = place
+        tag = self.text[start:end]
+        if old := _attribute(tag, attribute):
+            tag = f"{tag[: old.start(3)]}{value}{tag[old.end(3) :]}"
+        else:
+            close = re.search(r"\s*/?>$", tag)
+            assert close is not None
+            tag = f'{tag[: close.start()]} {attribute}="{value}"{tag[close.start() :]}'
+        self.text = self.text[:start] + tag + self.text[end:]
+        return True
+
+    def add_mass(self, body: str, kg: float) -> bool:
+        """Add a mass to a body's `inertial` element; return False if the body has none."""
+        place = self._place(("inertial",), body, inside=True)
+        old = None if place is None else _attribute(self.text[place[0] : place[1]], "mass")
+        if place is None or old is None:
+            return False
+        first, last = place[0] + old.start(3), place[0] + old.end(3)
+        self.text = f"{self.text[:first]}{_short(float(old[3]) + kg)}{self.text[last:]}"
+        return True
+
+    def kind(self, tags: Iterable[str], name: str) -> str | None:
+        """Return the tag of a named element."""
+        place = self._place(tuple(tags), name, inside=False)
+        return None if place is None else place[2]
+
+    def _place(self, tags: tuple[str, ...], name: str, *, inside: bool) -> tuple[int, int, str] | None:
+        """Return start, end and tag of an opening tag; `inside`: of the first such element in a named body."""
+        data, bodies = self.text.encode(), list[str]()
+        found: list[tuple[int, str]] = []
+        parser = expat.ParserCreate()
+
+        def begin(tag: str, attributes: Mapping[str, str]) -> None:
+            if tag == "body":
+                bodies.append(attributes.get("name", ""))
+            owner = bodies[-1] if bodies else ""
+            if tag in tags and (owner if inside else attributes.get("name")) == name and not found:
+                found.append((parser.CurrentByteIndex, tag))
+
+        def end(tag: str) -> None:
+            if tag == "body":
+                bodies.pop()
+
+        parser.StartElementHandler, parser.EndElementHandler = begin, end
+        parser.Parse(data, True)
+        if not found:
+            return None
+        at, tag = found[0]
+        start = len(data[:at].decode())
+        match = re.compile(r"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(self.text, start)
+        assert match is not None
+        return start, match.end(), tag
+
+
+def _attribute(tag: str, name: str) -> re.Match[str] | None:
+    """Return the match of an attribute in an opening tag; its third group is the value."""
+    return re.search(rf"""(\s{name}\s*=\s*)(["'])(.*?)\2""", tag, re.DOTALL)
+
+
+def _standard(value: float, unit: str) -> float:
+    """Return a value in standard units; units that only a verdict has are standard already."""
+    try:
+        return value * factor(unit)[0]
+    except ValueError:
+        return value
+
+
+def _short(value: float) -> str:
+    """Return a value with six significant digits."""
+    return f"{value:.{_DIGITS}g}"

@@ -1,0 +1,451 @@
+"""View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.data.trials import Series, Trial, TrialError, stage_of
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf import checks
+from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
+from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
+from softarm.diagnosis.rigs.motion import (
+    Motion,
+    motion,
+    motions,
+    summed_twice,
+    window_edges,
+    window_lengths,
+    within_windows,
+)
+from softarm.diagnosis.rigs.scales import white_noise
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values
+
+# Changes of the bodies at which the slopes of the rigid-body terms are taken.
+MASS_STEP, PAYLOAD_STEP_KG = 0.1, 0.05
+# Share of a load below which a mass has no effect.
+FELT = 1e-4
+# Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
+STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
+# Step of the numerical derivative by a window's start, in its uncertainty.
+NUDGED = 0.05
+# Share of the samples that may be left out because the other joints move too fast between samples.
+UNSURE_MOST = 0.5
+# Margin to a joint's limit or a contact within which samples are left out, s.
+MARGIN_S = 0.05
+# Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
+OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
+ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
+# Shares of the largest speed that bound the regimes.
+SLOW, STILL = 0.15, 0.01
+_INPUT = ("dead_time.delay", "latency.delay", "lag.time", "rate_limit.rate", "command_bias.bias")
+
+
+class JointView(RigView):
+    """View from a joint's command, or its measured torque, to its position."""
+
+    step_cost_s = 0.024e-6
+    blocks_each = 2
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
+        stage = stage_of(trials)
+        self._mechanism = mechanism(Path(str(stage.model["mjcf"])))
+        self._joint = joint = self._mechanism.joint(stage.name)
+        self._driver, self._actuator = self._drive(trials)
+        column = joint.name
+        step = resolution([t.channel("measured")[column] for t in trials])
+        limit = _acceleration(trials, column, step)
+        self._motions = motions(trials, column, step, limit)
+        self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
+        self._terms = [self._slopes(around) for around in self._around]
+        self._inputs = self._commands(trials)
+        self._refuse_mistakes(trials)
+        self._scales = scales = self._measure(step)
+        own = joint_effects(stage.name, scales)
+        self._known = neutral_values(own) | self._nominal() | given_values(stage, own)
+        window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
+        self._edges = [window_edges(m.grid, window_s) for m in self._motions]
+        self._each = self._substeps()
+        self._drives: dict[tuple[float, ...], list[Array]] = {}
+        signals = [self._signals(k) for k in range(len(trials))]
+        seen = [self._compared(k) for k in range(len(trials))]
+        stamps = [m.grid.t_s for m in self._motions]
+        super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
+        swing = within_windows(self._motions, self._edges)
+        self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
+        self._windows = [self._starts(k, seen[k]) for k in range(len(trials))]
+        self._free = [self._freed(k) for k in range(len(trials))]
+        self._unsure_share = self._without_unsure()
+
+    def _without_unsure(self) -> float:
+        """Take out samples that depend on motion of the other joints between samples, and return their share.
+
+        Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed.
+        """
+        at = {path: self.value({}, path) for path in self._known}
+        law, drives = self._law(at), self._driven(at)
+        unsure = []
+        for k, windows in enumerate(self._windows):
+            around = {n: m if n == self._joint.name else (*m[:2], _smooth(m[2])) for n, m in self._around[k].items()}
+            smooth = self._mechanism.terms(self._joint, around)
+            moved = self._left(k, windows, at, law, drives[k], smooth) - self._left(k, windows, at, law, drives[k])
+            self._free_starts(k, moved)
+            unsure.append(_widened(np.abs(moved) > self.floor[0], self._motions[k].grid.step_s))
+        every = np.concatenate(unsure)
+        if every.mean() > UNSURE_MOST:
+            return 0.0
+        self.measured[every] = np.nan
+        for windows, out in zip(self._windows, unsure, strict=True):
+            windows.seen[out] = np.nan
+        self._free = [self._freed(k) for k in range(len(self._windows))]
+        return float(every.mean())
+
+    def _free_starts(self, k: int, left: Array) -> None:
+        """Remove from a trial's values [T] what a change of its windows' starts explains."""
+        for (a, b), (directions, solve) in zip(pairwise(self._windows[k].edges), self._free[k], strict=True):
+            left[a:b] -= (solve @ np.nan_to_num(left[a:b])) @ directions
+
+    def _substeps(self) -> int:
+        """Return the integration steps per sample: no longer than the model's own, and fine enough for its loop."""
+        stiff = self._actuator.kp / self._scales.inertia if self._actuator is not None else 0.0
+        longest = min(self._mechanism.step_s, STEP_S, STEP_SHARE / max(np.sqrt(stiff), 1e-9))
+        return int(min(np.ceil(self._scales.step_s / longest), SUBSTEPS_MOST))
+
+    def _drive(self, trials: Sequence[Trial]) -> tuple[tuple[str, str] | None, Actuator | None]:
+        """Return channel and column that drive the joint, and its actuator; a measured torque replaces it."""
+        joint, actuator = self._joint, self._joint.actuator
+        if all(joint.name in t.channels["torque"].columns for t in trials if "torque" in t.channels) and all(
+            "torque" in t.channels for t in trials
+        ):
+            far = np.inf
+            return ("torque", joint.name), Actuator(joint.name, 1.0, 0.0, 0.0, 0.0, -far, far, -far, far, 0.0, 0.0)
+        if actuator is None:
+            return None, None
+        lacking = [
+            t for t in trials if "command" not in t.channels or actuator.name not in t.channels["command"].columns
+        ]
+        if lacking:
+            raise TrialError(
+                f"{lacking[0].source}: joint {joint.name} is moved by the actuator {actuator.name}, whose command is "
+                f"missing; add a column {actuator.name} to `command`, or {joint.name} to `torque`"
+            )
+        return ("command", actuator.name), actuator
+
+    def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
+        """Return position, speed and acceleration of every measured joint on the grid of the own joint's motion."""
+        found = {}
+        for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
+            for name in series.columns:
+                self._mechanism.joint(name)
+                if name == self._joint.name:
+                    found[name] = own.position, own.speed, own.acceleration
+                else:
+                    found[name] = _differences(series, name, own.grid)
+        return found
+
+    def _slopes(self, around: Mapping[str, tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+        """Return the rigid-body terms [ROWS, T] and their changes per share of mass and per kg of payload."""
+        terms, joint = self._mechanism.terms, self._joint
+        base = terms(joint, around)
+        heavier = terms(joint, around, Change(mass_share=MASS_STEP))
+        loaded = terms(joint, around, Change(payload_kg=PAYLOAD_STEP_KG))
+        return base, (heavier - base) / MASS_STEP, (loaded - base) / PAYLOAD_STEP_KG
+
+    def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
+        """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
+        joint, actuator, needed = self._joint, self._actuator, []
+        for m, (base, *_) in zip(self._motions, self._terms, strict=True):
+            friction = joint.viscous * m.speed + joint.dry * np.sign(m.speed)
+            needed.append(_load(base, m) + base[laws.INERTIA] * m.acceleration + friction)
+        seen, sent = np.concatenate([m.position for m in self._motions]), None
+        if actuator is not None:
+            factor = 1.0 if actuator.kp > 0 else actuator.scale
+            sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])
+        where = f"{trials[0].source}"
+        if found := [*checks.mistakes(joint, where, seen, sent, np.concatenate(needed))]:
+            raise TrialError("\n".join(found))
+
+    def _sent(self, k: int) -> Array:
+        """Return a trial's command at its samples, [T]."""
+        m, (stamps, summed) = self._motions[k], self._inputs[k]
+        edges = np.concatenate((m.grid.t_s - 0.5 * m.grid.step_s, [m.grid.t_s[-1] + 0.5 * m.grid.step_s]))
+        return np.asarray(np.diff(np.interp(edges, stamps, summed)) / m.grid.step_s)
+
+    def _commands(self, trials: Sequence[Trial]) -> list[tuple[Array, Array]]:
+        """Return stamps and integral of every trial's command within the actuator's range; empty without a drive."""
+        if self._driver is None or self._actuator is None:
+            return []
+        channel, column = self._driver
+        low, high = self._actuator.command_low, self._actuator.command_high
+        series = [t.channel(channel) for t in trials]
+        return [held_integral(s, np.clip(s[column], low, high), 10.0) for s in series]
+
+    def _measure(self, step: float) -> JointScales:
+        joint, actuator, found = self._joint, self._actuator, self._motions
+        speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
+        needed, loads, masses, payloads = [], [], [], []
+        for m, (base, heavier, loaded) in zip(found, self._terms, strict=True):
+            load = _load(base, m)
+            loads.append(load)
+            needed.append(load + base[laws.INERTIA] * m.acceleration)
+            masses.append(_load(heavier, m) + heavier[laws.INERTIA] * m.acceleration)
+            payloads.append(_load(loaded, m) + loaded[laws.INERTIA] * m.acceleration)
+        torque, load = np.abs(np.concatenate(needed)), np.abs(np.concatenate(loads))
+        rms = [float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (needed, masses, payloads)]
+        inertia = float(np.mean(np.concatenate([base[laws.INERTIA] for base, *_ in self._terms])))
+        floor = joint.viscous * speed + joint.dry  # a model without bodies needs this much at least
+        return JointScales(
+            joint=joint,
+            driven=actuator is not None,
+            follows=actuator is not None and actuator.kp > 0,
+            torque=float(np.quantile(torque, 0.995)) + floor,
+            usual=float(np.mean(torque)) + floor,
+            load=float(np.quantile(load, 0.995)) * (float(np.max(load)) > FELT * float(np.max(torque))),
+            mass=float(rms[1] > FELT * rms[0]),
+            payload=rms[0] / rms[2] if rms[2] > FELT * rms[0] else np.inf,
+            inertia=inertia,
+            speed=max(speed, 1e-9),
+            travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
+            resolution=max(step, *(m.noise for m in found)),
+            step_s=float(np.median([m.grid.step_s for m in found])),
+            period_s=_period(found),
+            command_rate=self._command_rate(),
+        )
+
+    def _command_rate(self) -> float:
+        if not self._inputs:
+            return 0.0
+        held = [np.diff(summed) / np.diff(t) for t, summed in self._inputs]
+        steps = [float(np.median(np.diff(t))) for t, _ in self._inputs]
+        return max(float(np.max(np.abs(np.diff(h)))) / s for h, s in zip(held, steps, strict=True))
+
+    def _nominal(self) -> dict[str, float]:
+        joint, actuator = self._joint, self._actuator
+        found = {
+            "coulomb_friction.torque": joint.dry,
+            "damping.viscous": joint.viscous,
+            "armature.inertia": joint.armature,
+            "spring.stiffness": joint.spring,
+        }
+        if actuator is not None:
+            found |= {"dead_time.delay": actuator.delay_s, "lag.time": actuator.lag_s, "ceiling.limit": actuator.high}
+        return found
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """Errors that a good nominal model may have, by 'effect.parameter'."""
+        s = self._scales
+        own = {path: OF_OWN * self.nominal(path) for path in ("armature.inertia", "spring.stiffness")}
+        own |= {
+            "coulomb_friction.torque": max(OF_OWN * self._joint.dry, OF_FORCE * s.usual),
+            "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
+            "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
+            "sensor_bias.bias": ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel,
+            "mass.scale": OF_OWN,
+            "gain.scale": OF_OWN,
+            "position_gain.scale": OF_OWN,
+        }
+        if self._inputs:
+            own["dead_time.delay"] = HELD_LATE * max(float(np.median(np.diff(t))) for t, _ in self._inputs)
+            own["torque_offset.torque"] = OF_FORCE * s.usual
+            own["command_bias.bias"] = ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel
+        return own
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """Parts of the data by speed and direction."""
+        speed, top = self.features["speed"], self._scales.speed
+        still = np.abs(speed) < STILL * top
+        return {
+            "at rest": still,
+            "moving slowly": ~still & (np.abs(speed) < SLOW * top),
+            "moving fast": np.abs(speed) > 0.5 * top,
+            "moving forwards": speed > STILL * top,
+            "moving backwards": speed < -STILL * top,
+            "after a reversal": (self.features["time since reversal"] < 0.1 * self._scales.period_s) & ~still,
+        }
+
+    def _gap(self, point: Point) -> Array:
+        at = {path: self.value(point, path) for path in self._known}
+        law, parts = self._law(at), []
+        drives = self._driven(at)
+        for k, windows in enumerate(self._windows):
+            left = self._left(k, windows, at, law, drives[k])
+            self._free_starts(k, left)
+            parts.append(left)
+        return np.concatenate(parts)[:, None]
+
+    def _left(
+        self,
+        k: int,
+        windows: laws.Windows,
+        at: Mapping[str, float],
+        law: Array,
+        drive: Array,
+        other: Array | None = None,
+    ) -> Array:
+        """Return measured minus predicted values of a trial from the windows' starts, [T]; other: terms to use."""
+        base, heavier, loaded = self._terms[k]
+        base = base if other is None else other
+        path = base + at.get("mass.scale", 0.0) * heavier + at.get("payload.mass", 0.0) * loaded
+        out = np.empty(len(windows.seen))
+        laws.residuals(windows, drive, path, law, self._motions[k].grid.step_s, self._each, out)
+        return out
+
+    def _freed(self, k: int) -> list[tuple[Array, Array]]:
+        """Return how each window's values change with its start [2, n], and the start's least-squares fit [2, n].
+
+        The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
+        """
+        at = {path: self.value({}, path) for path in self._known}
+        law, drive, windows = self._law(at), self._driven(at)[k], self._windows[k]
+        base, spread, changed = self._left(k, windows, at, law, drive), self._motions[k].spread, []
+        for d in range(2):
+            moved = windows._replace(starts=windows.starts + NUDGED * spread[d] * np.eye(2)[d])
+            changed.append((self._left(k, moved, at, law, drive) - base) / NUDGED)
+        both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
+        found = []
+        for a, b in pairwise(windows.edges):
+            directions = both[:, a:b]
+            normal = directions @ directions.T + float(self.floor[0]) ** 2 * np.eye(2)
+            found.append((directions, np.asarray(np.linalg.solve(normal, directions))))
+        return found
+
+    def _law(self, at: Mapping[str, float]) -> Array:
+        law, joint, actuator = np.zeros(laws.COLUMNS), self._joint, self._actuator
+        law[laws.REST] = joint.rest
+        law[laws.LOW], law[laws.HIGH] = -np.inf, np.inf
+        if actuator is not None:
+            factor, limit = 1 + at["gain.scale"], at["ceiling.limit"]
+            stiff = factor * (1 + at.get("position_gain.scale", 0.0))
+            law[laws.KP], law[laws.KD] = stiff * actuator.kp, factor * actuator.kd
+            law[laws.LOW], law[laws.HIGH] = actuator.low, actuator.high
+            if limit != actuator.high:
+                law[laws.LOW], law[laws.HIGH] = -limit, limit
+        for path, column in (
+            ("coulomb_friction.torque", laws.DRY),
+            ("stiction.torque", laws.STICTION),
+            ("stiction.speed", laws.SPEED),
+            ("load_friction.share", laws.LOADED),
+            ("damping.viscous", laws.VISCOUS),
+            ("drag.coefficient", laws.DRAG),
+            ("spring.stiffness", laws.SPRING),
+            ("torque_offset.torque", laws.OFFSET),
+            ("sensor_bias.bias", laws.BIAS),
+            ("deadband.width", laws.WIDTH),
+            ("backlash.gap", laws.GAP),
+        ):
+            law[column] = at.get(path, 0.0)
+        law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
+        return law
+
+    def _driven(self, at: Mapping[str, float]) -> list[Array]:
+        """Drive of the actuator at every integration step of all trials, [T each]; cached by its own parameters."""
+        actuator = self._actuator
+        if actuator is None:
+            return [np.zeros(len(m.seen) * self._each) for m in self._motions]
+        factor = (1 + at["gain.scale"]) * (1 + at.get("position_gain.scale", 0.0))
+        key = (*(at.get(path, 0.0) for path in _INPUT), factor)
+        if key not in self._drives:
+            if len(self._drives) > 64:
+                self._drives.clear()
+            found = []
+            for m, (t, summed) in zip(self._motions, self._inputs, strict=True):
+                h = m.grid.step_s / self._each
+                late = key[0] + key[1]
+                edges = m.grid.t_s[0] - late + h * np.arange(len(m.seen) * self._each + 1)
+                held = np.diff(np.interp(edges, t, summed)) / h
+                out = np.empty_like(held)
+                laws.follow(held, at.get("rate_limit.rate", np.inf), key[2], h, out)
+                command = actuator.scale * (out + key[4]) + actuator.offset
+                found.append(factor * command)
+            self._drives[key] = found
+        return self._drives[key]
+
+    def _compared(self, k: int) -> Array:
+        """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
+        m, (low, high) = self._motions[k], self._joint.range
+        out = self._mechanism.touching(self._around[k]) | (m.position <= low) | (m.position >= high)
+        return np.where(_widened(out, m.grid.step_s), np.nan, m.seen)
+
+    def _starts(self, k: int, seen: Array) -> laws.Windows:
+        m, edges = self._motions[k], self._edges[k]
+        first = edges[:-1]
+        direction = np.where(np.abs(m.speed) > SLOW * 0.3 * self._scales.speed, np.sign(m.speed), 0.0)
+        last = np.maximum.accumulate(np.where(direction != 0.0, np.arange(len(direction)), 0))
+        starts = np.ascontiguousarray(np.stack((m.position[first], m.speed[first]), axis=1))
+        return laws.Windows(seen, edges, starts, direction[last[first]])
+
+    def _signals(self, k: int) -> dict[str, Array]:
+        """Features for a flexible model of the residual."""
+        m, edges = self._motions[k], self._edges[k]
+        t, v = m.grid.t_s, m.speed
+        direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
+        signals = {
+            "torque": _load(self._terms[k][0], m),
+            "speed": v,
+            "direction": direction,
+            "position": m.position,
+            "time since reversal": time_since_change(t, np.sign(v)),
+            "time in the window": t - t[np.repeat(edges[:-1], np.diff(edges))],
+        }
+        if self._inputs:
+            signals["command"] = self._sent(k)
+        for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
+            signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s)
+        return signals
+
+
+def _differences(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array]:
+    """Return position, speed and acceleration of another joint at the stamps of a grid, [T] each.
+
+    They are plain differences: smoothing would lose fast motion, and noise of an acceleration vanishes in the motion
+    that it causes, since its double integral is the noise of the position.
+    """
+    own = grid(series, 1 / g.step_s, (name,))
+    known = np.isfinite(own.columns[name])
+    x = np.interp(own.t_s, own.t_s[known], own.columns[name][known])
+    speed = np.gradient(x, own.step_s)
+    acceleration = np.zeros_like(x)
+    acceleration[1:-1] = np.diff(x, 2) / own.step_s**2
+    position, speed, acceleration = (np.interp(g.t_s, own.t_s, each) for each in (x, speed, acceleration))
+    return position, speed, acceleration
+
+
+def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
+    """Return samples that are left out, with a margin before and after each, [T]."""
+    return np.asarray(np.convolve(out, np.ones(2 * round(MARGIN_S / step_s) + 1), "same") > 0)
+
+
+def _smooth(acceleration: Array) -> Array:
+    """Return an acceleration averaged over three samples, [T]."""
+    return np.asarray(np.convolve(acceleration, np.full(3, 1 / 3), "same"))
+
+
+def _load(terms: Array, m: Motion) -> Array:
+    """Return the load torque along a measured motion, [T]."""
+    return np.asarray(terms[laws.LOAD] + terms[laws.BY_POSITION] * m.position + terms[laws.BY_SPEED] * m.speed)
+
+
+def _acceleration(trials: Sequence[Trial], column: str, step: float) -> float:
+    """Return the largest acceleration of a joint without a few outliers."""
+    found = [motion(grid(t.channel("measured"), columns=(column,)), column, step, 0.0) for t in trials]
+    largest = float(np.quantile(np.abs(np.concatenate([m.acceleration for m in found])), 0.99))
+    if not largest > 0:
+        raise TrialError(f"{trials[0].source}: {column} does not move in any trial; leave its column out")
+    return largest
+
+
+def _period(found: Sequence[Motion]) -> float:
+    """Period of a sine with the same travel and speed, s."""
+    periods = []
+    for m in found:
+        swing = float(np.std(m.position)) / max(float(np.sqrt(np.mean(m.speed**2))), 1e-12)
+        periods.append(min(2 * np.pi * swing, float(m.grid.t_s[-1] - m.grid.t_s[0])))
+    return max(float(np.median(periods)), 20 * found[0].grid.step_s)

@@ -1,0 +1,42 @@
+"""Scores of the mechanisms' benchmark."""
+
+import pytest
+
+from softarm.diagnosis.blind import mechanisms
+
+FRICTION = {"joint": "elbow", "fault": "friction", "names": ["coulomb_friction"]}
+LATE = {"joint": "wrist", "fault": "late", "names": ["dead_time", "latency"]}
+COGGING = {"joint": "elbow", "fault": "cogging", "names": []}
+
+
+def answer(*groups, verdict="named", stage="elbow"):
+    effects = [{"name": first, "equivalents": rest, "confidence": 0.9} for first, *rest in groups]
+    return {"verdict": {"verdict": verdict, "effects": effects, "where": {"stage": stage}}, "seconds": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("causes", "reply", "said"),
+    [
+        ([FRICTION], answer(["elbow.coulomb_friction"]), "right"),
+        ([FRICTION], answer(["wrist.coulomb_friction"]), "wrong"),
+        ([FRICTION], answer(["elbow.damping", "elbow.coulomb_friction"]), "set"),
+        ([FRICTION], answer(verdict="unknown"), "silent"),
+        ([LATE], answer(["wrist.dead_time", "wrist.latency"]), "right"),
+        ([FRICTION, LATE], answer(["elbow.coulomb_friction"]), "part"),
+        ([FRICTION, LATE], answer(["elbow.coulomb_friction"], ["wrist.latency"]), "right"),
+        ([], answer(verdict="none", stage=None), "right"),
+        ([], answer(["elbow.damping"]), "wrong"),
+        ([COGGING], answer(verdict="unknown"), "right"),
+        ([COGGING], answer(verdict="none", stage=None), "silent"),
+        ([COGGING], answer(["elbow.damping"], verdict="incomplete"), "wrong"),
+        ([FRICTION], {"verdict": None, "failure": "TrialError", "seconds": 1.0}, "failed"),
+    ],
+)
+def test_an_answer_is_scored_by_joint_and_name(causes, reply, said):
+    assert mechanisms.outcome({"causes": causes}, reply) == said
+
+
+def test_the_right_joint_is_the_one_with_a_known_cause():
+    assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["elbow.damping"])) is True
+    assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["wrist.damping"], stage="wrist")) is False
+    assert mechanisms.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None

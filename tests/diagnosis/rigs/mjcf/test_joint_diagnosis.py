@@ -1,0 +1,93 @@
+"""Effects of a joint found in an independently simulated mechanism, from recordings to the patched model."""
+
+import shutil
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from softarm.cli.main import main
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.reality.mechanisms.cases import stage_text
+from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
+
+KINDS = ("multisine", "holds", "multisine")
+
+
+def written(folder, robot, laws):
+    """Record three trials of a robot with its model and its stage.yaml."""
+    random = np.random.default_rng(3)
+    for number, kind in enumerate(KINDS):
+        record(ROBOTS[robot], Truth(laws), kind, 10.0, random).write(folder / f"{kind}-{number}.csv")
+    shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
+    (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
+    return folder / "stage.yaml"
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory):
+    """A camera whose tilt axis ignores errors below 12 mrad, on a vehicle that moves."""
+    law = replace(JointLaw(), dead=0.012)
+    return written(tmp_path_factory.mktemp("faulty"), "camera", {"tilt": law})
+
+
+@pytest.fixture(scope="module")
+def stuck(tmp_path_factory):
+    """A camera whose pan axis has 50 mN m more of dry friction; the tilt axis counts as moved from outside."""
+    law = replace(JointLaw(), more_dry=0.05)
+    stage = written(tmp_path_factory.mktemp("stuck"), "camera", {"pan": law})
+    tilt = "      tilt: {source: q_tilt, unit: rad}\n"
+    stage.write_text(stage.read_text().replace(tilt, "").replace("      track:", f"{tilt}      track:"))
+    return stage
+
+
+def test_each_measured_joint_is_a_stage_of_its_own(faulty):
+    assert {trial.stage.name for trial in tables.read(faulty)} == {"pan", "tilt"}
+
+
+def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
+    trials = [trial for trial in tables.read(faulty) if trial.stage.name == "pan"]
+    without = [replace(t, channels={n: s for n, s in t.channels.items() if n != "base"}) for t in trials]
+    left, more = (np.sqrt(np.nanmean(view_of(each)[0].gap([{}]) ** 2)) for each in (trials, without))
+    assert left < 1.2e-3  # the step of the encoder is 1 mrad
+    assert more > 3 * left
+
+
+# Over 3 s: the diagnosis of one joint.
+@pytest.mark.slow
+def test_a_dead_band_is_named_at_its_joint_with_its_size(faulty):
+    verdict = diagnose_table([t for t in tables.read(faulty) if t.stage.name == "tilt"], budget_s=4).verdict
+    assert [effect.name for effect in verdict.effects] == ["tilt.deadband"]
+    assert verdict.where.stage == "tilt"
+    assert verdict.effects[0].parameters["width"].value == pytest.approx(0.012, rel=0.15)
+    assert verdict.gap.after["tilt"].value < 0.5 * verdict.gap.before["tilt"].value
+
+
+# Over 3 s: the diagnosis of one joint.
+@pytest.mark.slow
+def test_the_command_line_writes_the_patched_model_and_its_diff(stuck, tmp_path):
+    patched = tmp_path / "patched.xml"
+    result = CliRunner().invoke(main, ["diagnose", str(stuck), "--patch", str(patched), "--budget", "4"])
+    assert result.exit_code == 0, result.output
+    assert "pan.coulomb_friction" in result.output
+    assert '+      <joint name="pan"' in result.output or 'name="pan"' in result.output
+    joint = mujoco.MjModel.from_xml_path(str(patched)).joint("pan")
+    assert joint.frictionloss[0] == pytest.approx(0.07, rel=0.2)
+
+
+def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
+    (tmp_path / "s.csv").write_text("t,u,y\n" + "".join(f"{0.01 * i},{i % 100},{i % 100}\n" for i in range(400)))
+    stage = tmp_path / "stage.yaml"
+    stage.write_text(
+        "kind: tracking\nchannels:\n"
+        "  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: deg}}}\n"
+        "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg}}}\n"
+        "trials: [{files: s.csv}]\n"
+    )
+    result = CliRunner().invoke(main, ["diagnose", str(stage), "--patch", str(tmp_path / "x.xml")])
+    assert result.exit_code == 2
+    assert "is for a stage of kind mujoco" in result.output

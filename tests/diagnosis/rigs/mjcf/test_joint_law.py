@@ -1,0 +1,106 @@
+"""The law of one joint against MuJoCo with hard friction, whose step it repeats, and against closed forms."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+
+H = 0.001
+SERVO = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="elbow" type="hinge" axis="0 1 0" damping="{damping}" frictionloss="{dry}"
+             armature="0.01" solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"/>
+      <inertial pos="0 0 -0.2" mass="0.5" diaginertia="1e-3 1e-3 1e-4"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="elbow" kp="{kp}" kv="0.3" forcerange="-{limit} {limit}"/></actuator>
+</mujoco>
+"""
+
+
+def law(**values):
+    """Return the parameters of a law, without limits and friction unless given."""
+    found = np.zeros(laws.COLUMNS)
+    found[laws.LOW], found[laws.HIGH], found[laws.SPEED] = -np.inf, np.inf, 1.0
+    for name, value in values.items():
+        found[getattr(laws, name)] = value
+    return found
+
+
+def travelled(parameters, drive, path, start=(0.0, 0.0), h=H):
+    """Return the positions at every step."""
+    out = np.empty(len(drive))
+    laws.travel(np.array(start), 0.0, drive, path, parameters, h, 1, out)
+    return out
+
+
+def bare(size, inertia=1.0):
+    """Return rigid-body terms of a joint without any load."""
+    path = np.zeros((laws.ROWS, size))
+    path[laws.INERTIA] = inertia
+    return path
+
+
+@pytest.mark.parametrize(("dry", "kp", "limit"), [(0.0, 20, 10), (0.1, 20, 10), (0.1, 60, 0.8)])
+def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
+    text = SERVO.format(damping=0.05, dry=dry, kp=kp, limit=limit)
+    file = tmp_path / "servo.xml"
+    file.write_text(text)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    command = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(3000)))
+    q, v = np.empty(3000), np.empty(3000)
+    for k in range(3000):
+        q[k], v[k] = data.qpos[0], data.qvel[0]
+        data.ctrl[0] = command[k]
+        mujoco.mj_step(model, data)
+    joint = Mechanism(file).joint("elbow")
+    path = Mechanism(file).terms(joint, {"elbow": (q, v, np.zeros(3000))})
+    own = law(
+        KP=joint.actuator.kp,
+        KD=joint.actuator.kd,
+        LOW=joint.actuator.low,
+        HIGH=joint.actuator.high,
+        VISCOUS=joint.viscous,
+        DRY=joint.dry,
+    )
+    assert travelled(own, joint.actuator.scale * command, path) == pytest.approx(q, abs=5e-4)
+
+
+def test_viscous_friction_lets_the_speed_decay():
+    found = travelled(law(VISCOUS=0.5), np.zeros(4000), bare(4000), start=(0.0, 1.0))
+    assert found[-1] == pytest.approx((1 - math.exp(-0.5 * 4)) / 0.5, rel=1e-3)
+
+
+def test_dry_friction_holds_a_joint_below_its_level_and_slows_it_above():
+    assert np.abs(travelled(law(DRY=1.0), np.full(1000, 0.9), bare(1000))).max() == 0
+    found = travelled(law(DRY=1.0), np.full(1000, 1.5), bare(1000))
+    assert found[-1] == pytest.approx(0.5 * 0.5 * 0.999**2, rel=5e-3)
+
+
+def test_errors_within_the_dead_band_make_no_torque():
+    found = travelled(law(KP=50.0, KD=30.0, WIDTH=0.1), np.full(9000, 50.0), bare(9000))
+    assert found[-1] == pytest.approx(0.9, abs=5e-3)
+
+
+def test_play_delays_a_reversal_by_its_gap():
+    there_and_back = np.concatenate((np.full(500, 1.0), np.full(1000, -1.0)))
+    true = travelled(law(), there_and_back, bare(1500))
+    seen = travelled(law(GAP=0.02), there_and_back, bare(1500))
+    assert seen.max() == pytest.approx(true.max() - 0.01, abs=1e-4)
+    assert seen[-1] == pytest.approx(true[-1] + 0.01, abs=1e-4)
+
+
+def test_a_command_is_limited_in_its_rate_and_follows_with_a_lag():
+    out = np.empty(1000)
+    laws.follow(np.concatenate(([0.0], np.ones(999))), 2.0, 0.0, H, out)
+    assert out[250] == pytest.approx(0.5, abs=2e-3)
+    laws.follow(np.concatenate(([0.0], np.ones(999))), np.inf, 0.2, H, out)
+    assert out[200] == pytest.approx(1 - math.exp(-1), abs=5e-3)

@@ -1,0 +1,112 @@
+"""Rigid-body terms, actuators and refusals of a MuJoCo model."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, Mechanism
+from softarm.reality.mechanisms.robots import ROBOTS
+
+LOOP = """
+<mujoco>
+  <worldbody>
+    <body name="a"><joint name="one" type="hinge"/><geom size="0.1"/></body>
+    <body name="b" pos="1 0 0"><joint name="two" type="hinge"/><geom size="0.1"/></body>
+  </worldbody>
+  <equality><connect body1="a" body2="b" anchor="0 0 0"/></equality>
+</mujoco>
+"""
+MUSCLE = """
+<mujoco>
+  <worldbody><body><joint name="one" type="hinge"/><geom size="0.1"/></body></worldbody>
+  <actuator><muscle name="flexor" joint="one" lengthrange="0 1"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Mechanism(ROBOTS["arm"].model)
+
+
+@pytest.fixture(scope="module")
+def motion(arm):
+    random = np.random.default_rng(0)
+    return {name: tuple(random.normal(size=(3, 5)) * [[0.5], [1.0], [3.0]]) for name in arm.joints}
+
+
+def at(motion, name, k):
+    """Return positions, speeds and accelerations of all joints at a sample."""
+    return [np.array([each[d][k] for each in motion.values()]) for d in range(3)]
+
+
+@pytest.mark.parametrize("name", ["base", "elbow", "wrist"])
+def test_the_terms_give_the_torque_that_mujoco_computes(arm, motion, name):
+    joint, terms = arm.joint(name), arm.terms(arm.joint(name), motion)
+    model = mujoco.MjModel.from_xml_path(str(ROBOTS["arm"].model))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    data = mujoco.MjData(model)
+    for k in range(5):
+        data.qpos[:], data.qvel[:], data.qacc[:] = at(motion, name, k)
+        mujoco.mj_inverse(model, data)
+        inertia, load, by_position, by_speed = terms[:, k]
+        q, v, a = (motion[name][d][k] for d in range(3))
+        own = inertia * a + load + by_position * q + by_speed * v + joint.viscous * v
+        assert own == pytest.approx(data.qfrc_inverse[joint.dof], rel=1e-6, abs=1e-9)
+        matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, matrix, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, matrix)
+        assert inertia == pytest.approx(matrix[joint.dof, joint.dof], rel=1e-6)
+
+
+def test_the_slope_by_position_is_the_load_of_another_angle(arm, motion):
+    joint, terms = arm.joint("shoulder"), arm.terms(arm.joint("shoulder"), motion)
+    position, speed, acceleration = motion["shoulder"]
+    moved = arm.terms(joint, motion | {"shoulder": (position + 0.02, speed, acceleration)})
+
+    def load(of, q):
+        return of[laws.LOAD] + of[laws.BY_POSITION] * q + of[laws.BY_SPEED] * speed
+
+    assert load(terms, position + 0.02) == pytest.approx(load(moved, position + 0.02), abs=2e-3)
+
+
+def test_masses_behind_a_joint_and_a_payload_change_its_terms_linearly(arm, motion):
+    joint = arm.joint("elbow")
+    base = arm.terms(joint, motion)
+    half, whole = (arm.terms(joint, motion, Change(payload_kg=kg)) - base for kg in (0.1, 0.2))
+    assert whole == pytest.approx(2 * half, rel=1e-6, abs=1e-9)
+    assert half[laws.INERTIA].min() > 0
+    heavier = arm.terms(joint, motion, Change(mass_share=0.1))
+    armature = joint.armature
+    assert heavier[laws.INERTIA] - armature == pytest.approx(1.1 * (base[laws.INERTIA] - armature), rel=1e-6)
+
+
+def test_an_actuator_is_read_in_the_units_of_its_joint():
+    joint = Mechanism(ROBOTS["leg"].model).joint("hip")
+    assert (joint.actuator.name, joint.actuator.scale, joint.actuator.kp) == ("hip_motor", 6.0, 0.0)
+    servo = Mechanism(ROBOTS["arm"].model).joint("wrist").actuator
+    assert (servo.kp, servo.kd, servo.low, servo.high) == (15.0, 0.5, -3.0, 3.0)
+    assert Mechanism(ROBOTS["gantry"].model).joint("swing").actuator is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (LOOP, "closes a loop"),
+        (MUSCLE, "flexor is neither a motor"),
+        ("<mujoco><worldbody><body></mujoco>", "cannot read the model"),
+    ],
+)
+def test_a_model_that_is_not_supported_is_refused_with_the_reason(tmp_path, text, said):
+    file = tmp_path / "model.xml"
+    file.write_text(text)
+    with pytest.raises(TrialError, match=said):
+        Mechanism(file)
+
+
+def test_a_missing_file_and_an_unknown_joint_name_the_next_step(arm, tmp_path):
+    with pytest.raises(TrialError, match="write the path of the MJCF"):
+        Mechanism(tmp_path / "none.xml")
+    with pytest.raises(TrialError, match="did you mean elbow"):
+        arm.joint("elbw")

@@ -1,0 +1,71 @@
+"""Wrong descriptions of a mechanism are reported before the fit, each with its remedy."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.reality.mechanisms.cases import stage_text
+from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.robots import ROBOTS
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the text of a healthy recording of camera and leg, by robot."""
+    folder = tmp_path_factory.mktemp("recorded")
+    found = {}
+    for name in ("camera", "leg"):
+        record(ROBOTS[name], Truth({}), "multisine", 8.0, np.random.default_rng(1)).write(folder / f"{name}.csv")
+        found[name] = (folder / f"{name}.csv").read_text()
+    return found
+
+
+def view(folder, recorded, robot, joint, change=lambda text: text, model=lambda text: text):
+    """Build the view of one joint, with a changed stage.yaml or MJCF."""
+    (folder / "multisine-0.csv").write_text(recorded[robot])
+    (folder / "stage.yaml").write_text(
+        change(stage_text(ROBOTS[robot]).replace("  - {files: holds-*.csv, kind: holds}\n", ""))
+    )
+    shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
+    (folder / "robot.xml").write_text(model((folder / "robot.xml").read_text()))
+    return view_of([t for t in tables.read(folder / "stage.yaml") if t.stage.name == joint])[0]
+
+
+def test_a_right_description_is_accepted(tmp_path, recorded):
+    found = view(tmp_path, recorded, "camera", "tilt")
+    assert (found.stage, found.unit) == ("tilt", "rad")
+
+
+@pytest.mark.parametrize(
+    ("robot", "joint", "old", "new", "said"),
+    [
+        ("camera", "tilt", "source: q_tilt, unit: rad", "source: q_tilt, unit: rad, scale: 57.2958", "unit: deg"),
+        ("camera", "tilt", "source: cmd_tilt, unit: rad", "source: cmd_tilt, unit: deg", "range 57.[0-9]* times"),
+        ("camera", "tilt", "source: q_tilt, unit: rad", "source: q_tilt, unit: rad, scale: -1", "opposite sign"),
+        ("leg", "hip", "source: cmd_hip, unit: N m", "source: cmd_hip, unit: N m, scale: -1", "opposite sign"),
+        ("camera", "pan", "pan: {source: q_pan", "pam: {source: q_pan", "did you mean pan"),
+        ("camera", "pan", "pan_drive: {", "pan_motor: {", "add a column pan_drive"),
+    ],
+)
+def test_a_wrong_description_names_its_remedy(tmp_path, recorded, robot, joint, old, new, said):
+    joint = "pam" if "pam" in new else joint
+    with pytest.raises(TrialError, match=said):
+        view(tmp_path, recorded, robot, joint, lambda text: text.replace(old, new))
+
+
+def test_a_gear_that_is_left_out_of_the_model_is_reported(tmp_path, recorded):
+    with pytest.raises(TrialError, match="write the gear ratio as `gear`"):
+        view(tmp_path, recorded, "leg", "hip", model=lambda text: text.replace('joint="hip" gear="6"', 'joint="hip"'))
+
+
+def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
+    with pytest.raises(TrialError, match="their zeros differ: write `add`"):
+        view(
+            tmp_path, recorded, "camera", "tilt",
+            lambda text: text.replace("source: q_tilt, unit: rad", "source: q_tilt, unit: rad, add: 3.2"),
+            lambda text: text.replace('name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'),
+        )  # fmt: skip

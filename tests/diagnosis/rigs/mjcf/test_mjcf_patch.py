@@ -1,0 +1,80 @@
+"""The patched MJCF: only the named attributes change, and MuJoCo reads the new numbers."""
+
+import mujoco
+import pytest
+
+from softarm.diagnosis.rigs.mjcf import patch
+from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+
+ARM = ROBOTS["arm"].model
+SHARE = Shrink(stage=Interval(value=0.5, low=0.4, high=0.6))
+
+
+def verdict(effects=(), calibration=()):
+    """Return a verdict with parameters, each as (path, value, unit)."""
+    named = {}
+    for path, value, unit in effects:
+        name, _, parameter = path.rpartition(".")
+        named.setdefault(name, {})[parameter] = Estimate(value=value, low=value, high=value, unit=unit)
+    return Verdict(
+        verdict="named",
+        where=Where(stage=None, share={}, regime=""),
+        effects=tuple(NamedEffect(name=name, parameters=of, shrink=SHARE) for name, of in named.items()),
+        calibration=tuple(
+            CalibratedParameter(
+                name=path, nominal=value, value=value, low=value, high=value, unit=unit,
+                tolerance_low=value, tolerance_high=value, at_edge=False, shrink=0.1,
+            )
+            for path, value, unit in calibration
+        ),
+        gap=Gap(before={}, after={}, floor={}, ceiling={}),
+    )  # fmt: skip
+
+
+def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(tmp_path):
+    found = patch.patched(
+        ARM,
+        verdict(
+            [
+                ("elbow.coulomb_friction.torque", 120.0, "mN m"),
+                ("wrist.damping.viscous", 0.2, "N m s/rad"),
+                ("shoulder.position_gain.scale", -0.25, "-"),
+                ("elbow.ceiling.limit", 2.5, "N m"),
+            ]
+        ),
+        calibration=True,
+    )
+    before, after = ARM.read_text().splitlines(), found.text.splitlines()
+    assert len(before) == len(after)
+    assert sum(one != other for one, other in zip(before, after, strict=True)) == 4
+    assert found.diff.count("\n+") == 5  # with the header
+    file = tmp_path / "patched.xml"
+    file.write_text(found.text)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.dof_frictionloss[model.joint("elbow").dofadr[0]] == pytest.approx(0.12)
+    assert model.dof_damping[model.joint("wrist").dofadr[0]] == pytest.approx(0.2)
+    assert model.actuator("shoulder_servo").gainprm[0] == pytest.approx(30)
+    assert model.actuator("shoulder_servo").biasprm[1] == pytest.approx(-30)
+    assert model.actuator("elbow_servo").forcerange.tolist() == [-2.5, 2.5]
+
+
+def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
+    found = patch.patched(
+        ARM, verdict([("elbow.payload.mass", 0.1, "kg"), ("shoulder.payload.mass", 0.12, "kg")]), calibration=True
+    )
+    file = tmp_path / "patched.xml"
+    file.write_text(found.text)
+    assert mujoco.MjModel.from_xml_path(str(file)).body("tool").mass[0] == pytest.approx(0.08 + 0.11)
+
+
+def test_what_the_format_cannot_express_is_stated():
+    found = patch.patched(ARM, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
+    assert found.text == ARM.read_text()
+    assert found.left_out == ("elbow.dead_time.delay = 0.03",)
+
+
+def test_the_calibration_is_left_out_on_request():
+    only = verdict(calibration=[("elbow.damping.viscous", 0.16, "N m s/rad")])
+    assert patch.patched(ARM, only, calibration=False) is None
+    assert 'damping="0.16"' in patch.patched(ARM, only, calibration=True).text
