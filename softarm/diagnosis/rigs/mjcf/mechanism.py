@@ -55,7 +55,12 @@ class Joint:
     armature: float
     range: tuple[float, float]  # -inf, inf without a limit
     actuator: Actuator | None
-    end: str  # body at the end of the mechanism behind this joint
+    bodies: tuple[str, ...]  # that the joint moves
+
+    @property
+    def end(self) -> str:
+        """Return the body at the end of the mechanism."""
+        return self.bodies[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,7 @@ class Change:
 
     mass_share: float = 0.0  # of all masses and inertias behind the joint
     payload_kg: float = 0.0  # point mass at the centre of the joint's last body
+    body: str = ""  # mass_share is that of this body alone
 
 
 class Mechanism:
@@ -156,7 +162,7 @@ class Mechanism:
         number = self.model.dof_jntid[joint.dof]
         model.dof_damping[joint.dof], model.dof_armature[joint.dof] = 0.0, joint.armature
         model.jnt_stiffness[number] = 0.0
-        bodies = self._behind(joint.dof)
+        bodies = [self._body(change.body)] if change.body else self._behind(joint.dof)
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
         if change.payload_kg:
@@ -173,7 +179,7 @@ class Mechanism:
         return found
 
     def _body(self, name: str) -> int:
-        return int(self.model.body(name).id)
+        return next(i for i in range(self.model.nbody) if self._name("body", i) == name)
 
     def _name(self, kind: str, number: int) -> str:
         return str(getattr(self.model, kind)(number).name) or f"{kind}{number}"
@@ -203,7 +209,7 @@ class Mechanism:
             armature=float(m.dof_armature[dof]),
             range=(float(low), float(high)),
             actuator=self._actuator(number),
-            end=self._name("body", self._behind(dof)[-1]),
+            bodies=tuple(self._name("body", i) for i in self._behind(dof)),
         )
 
     def _actuator(self, number: int) -> Actuator | None:

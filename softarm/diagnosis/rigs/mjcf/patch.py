@@ -52,13 +52,15 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
     for place, value in sorted(found.items()):
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
-        if parameter == "payload.mass":
+        if parameter.startswith("mass_"):
+            edits.change_mass(parameter.removeprefix("mass_"), factor=1 + value)
+        elif parameter == "payload.mass":
             payloads.setdefault(joint.end, []).append(value)
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
     for body, masses in payloads.items():
         mass = float(np.mean(masses))  # several joints weigh the same one
-        if not edits.add_mass(body, mass):
+        if not edits.change_mass(body, more_kg=mass):
             left_out.append(f"payload of {mass:.{_DIGITS}g} kg at body {body}, which has no `inertial` element")
     after = edits.text
     lines = difflib.unified_diff(
@@ -112,14 +114,18 @@ class _Edits:
         self.text = self.text[:start] + tag + self.text[end:]
         return True
 
-    def add_mass(self, body: str, kg: float) -> bool:
-        """Add a mass to a body's `inertial` element; return False if the body has none."""
+    def change_mass(self, body: str, factor: float = 1.0, more_kg: float = 0.0) -> bool:
+        """Change the mass of a body, and its inertia by the factor; return False if it has no `inertial` element."""
         place = self._place(("inertial",), body, inside=True)
-        old = None if place is None else _attribute(self.text[place[0] : place[1]], "mass")
-        if place is None or old is None:
+        if place is None:
             return False
-        first, last = place[0] + old.start(3), place[0] + old.end(3)
-        self.text = f"{self.text[:first]}{_short(float(old[3]) + kg)}{self.text[last:]}"
+        tag = self.text[place[0] : place[1]]
+        for name in ("mass", "diaginertia", "fullinertia"):
+            if old := _attribute(tag, name):
+                numbers = [factor * float(x) + (more_kg if name == "mass" else 0.0) for x in old[3].split()]
+                if factor != 1.0 or name == "mass":
+                    tag = f"{tag[: old.start(3)]}{' '.join(map(_short, numbers))}{tag[old.end(3) :]}"
+        self.text = f"{self.text[: place[0]]}{tag}{self.text[place[1] :]}"
         return True
 
     def kind(self, tags: Iterable[str], name: str) -> str | None:

@@ -258,6 +258,21 @@ class JointView(RigView):
         return own
 
     @property
+    def own_nuisances(self) -> Mapping[str, float]:
+        """Masses of the single bodies behind the joint, if there are several: name -> share of its value."""
+        bodies = self._joint.bodies if self._scales.mass else ()
+        return {f"{self.stage}.mass_{body}": OF_OWN for body in bodies} if len(bodies) > 1 else {}
+
+    def own_directions(self) -> NDArray[np.float32]:
+        """Return how the gap changes with the mass of each body, [q, M, 1]."""
+        base, found = self._gap({}), []
+        for name in self.own_nuisances:
+            change = Change(mass_share=OF_OWN, body=name.partition(".mass_")[2])
+            terms = [self._mechanism.terms(self._joint, around, change) for around in self._around]
+            found.append(self._gap({}, terms) - base)
+        return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
+
+    @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by speed and direction."""
         speed, top = self.features["speed"], self._scales.speed
@@ -271,12 +286,13 @@ class JointView(RigView):
             "after a reversal": (self.features["time since reversal"] < 0.1 * self._scales.period_s) & ~still,
         }
 
-    def _gap(self, point: Point) -> Array:
+    def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
+        """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
         at = {path: self.value(point, path) for path in self._known}
         law, parts = self._law(at), []
         drives = self._driven(at)
         for k, windows in enumerate(self._windows):
-            left = self._left(k, windows, at, law, drives[k])
+            left = self._left(k, windows, at, law, drives[k], None if other is None else other[k])
             self._free_starts(k, left)
             parts.append(left)
         return np.concatenate(parts)[:, None]

@@ -68,6 +68,15 @@ def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
     assert mujoco.MjModel.from_xml_path(str(file)).body("tool").mass[0] == pytest.approx(0.08 + 0.11)
 
 
+def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
+    found = patch.patched(ARM, verdict(calibration=[("elbow.mass_wrist", 0.02, "-")]), calibration=True)
+    file = tmp_path / "patched.xml"
+    file.write_text(found.text)
+    body = mujoco.MjModel.from_xml_path(str(file)).body("wrist")
+    assert body.mass[0] == pytest.approx(0.09 * 1.02)
+    assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
+
+
 def test_what_the_format_cannot_express_is_stated():
     found = patch.patched(ARM, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
     assert found.text == ARM.read_text()
