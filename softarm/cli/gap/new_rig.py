@@ -1,5 +1,6 @@
 """`softarm new rig`: write the stage.yaml of another rig from its recordings."""
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from softarm.cli.shared.printing import print_table, waiting
 from softarm.schemas.stage_model import DESCRIBED, StageKind
 
 if TYPE_CHECKING:
+    from softarm.diagnosis.describe.joints import ModelJoint
     from softarm.diagnosis.describe.survey import Survey
 
 KINDS = click.Choice(DESCRIBED)
@@ -55,16 +57,19 @@ def rig(
 
     DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat) or folders of them. Columns, units and rates that the
     recordings show are written with their reason. The rest is asked for, or without a terminal taken from the options.
+    With an MJCF or URDF file (.xml, .urdf) among DATA, columns are found by the names of its joints and actuators.
 
     \b
     Examples:
       softarm new rig recordings
+      softarm new rig robot.xml recordings
       softarm new rig runs/*.csv --kind tracking --unit "angle*=deg" --out servo.yaml
       softarm new rig swings --kind pendulum --nominal mass_kg=0.15 --nominal centre_m=0.15 --nominal inertia_kg_m2=1e-4
     """
     from softarm.diagnosis.data.stage_file import called
+    from softarm.diagnosis.describe import joints as of_joints
     from softarm.diagnosis.describe import stage_text
-    from softarm.diagnosis.describe.proposal import Answers
+    from softarm.diagnosis.describe.proposal import Answers, propose
     from softarm.diagnosis.describe.survey import survey
 
     leaves(NOTHING)
@@ -80,14 +85,36 @@ def rig(
         nominal=_pairs("--nominal", nominal),
         angles=angles,
     )
+    models = [path for path in data if path.suffix in (".xml", ".urdf")]
+    if len(models) > 1:
+        raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
     with waiting("reading the recordings"):
-        found = survey(data)
+        found = survey([path for path in data if path not in models])
     _show(found)
-    proposal = proposed(found, given)
+    if models:
+        where, joints = os.path.relpath(models[0].resolve(), out.parent.resolve()), _joints(models[0])
+        proposal = proposed(given, lambda answers: of_joints.propose(found, answers, joints, where))
+    else:
+        proposal = proposed(given, lambda answers: propose(found, answers))
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")
     _check(out)
+
+
+def _joints(model: Path) -> "tuple[ModelJoint, ...]":
+    """Return the joints of a model with their ranges and actuators."""
+    from softarm.diagnosis.describe.joints import ModelJoint
+    from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
+
+    found = []
+    for joint in mechanism(model).joints.values():
+        unit, torque = ("rad", "N m") if joint.turns else ("m", "N")
+        actuator = joint.actuator
+        wanted = unit if actuator is not None and actuator.kp > 0 else torque
+        name = actuator.name if actuator is not None else ""
+        found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, wanted))
+    return tuple(found)
 
 
 def _may_be_written(out: Path, overwrite: bool) -> None:

@@ -1,7 +1,7 @@
 """Questions of `softarm new rig`: asked at a terminal, otherwise errors that name the option."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,6 @@ from softarm.cli.shared.errors import fail
 
 if TYPE_CHECKING:
     from softarm.diagnosis.describe.proposal import Answers, Proposal, Question
-    from softarm.diagnosis.describe.survey import Survey
 
 RATE = click.FloatRange(min=0, min_open=True)
 _VALUES = {"--unit": "UNIT", "--nominal": "NUMBER", "--rate": "HZ", "--command": "COLUMN", "--measured": "COLUMN"}
@@ -22,15 +21,15 @@ def is_terminal() -> bool:
     return sys.stdin.isatty()
 
 
-def proposed(found: "Survey", answers: "Answers") -> "Proposal":
+def proposed(answers: "Answers", propose: "Callable[[Answers], Proposal]") -> "Proposal":
     """Return the content of the file; ask for unknown facts at a terminal, else end the command with all of them."""
     from softarm.diagnosis.data.trials import TrialError
-    from softarm.diagnosis.describe.proposal import Unknown, propose
+    from softarm.diagnosis.describe.proposal import Unknown
 
     before = answers
     while True:
         try:
-            return propose(found, answers)
+            return propose(answers)
         except Unknown as unknown:
             if not is_terminal():
                 fail("\n".join(map(_lacking, unknown.questions)))

@@ -47,7 +47,7 @@ def _rows(trial: "Trial") -> list[tuple[str, ...]]:
     for channel, series in trial.channels.items():
         seconds = f"{series.t_s[-1] - series.t_s[0]:.4g}"
         for column, values in series.columns.items():
-            own = trial.stage.units[channel][column] if trial.stage is not None else None
+            own = trial.stage.units[channel].get(column) if trial.stage is not None else None
             worth, unit = (own.factor, own.name) if own is not None else (1.0, "")
             low, high = f"{values.min() / worth:.4g}", f"{values.max() / worth:.4g}"
             rows.append((trial.name, trial.kind, channel, str(len(series)), seconds, column, low, high, unit))

@@ -91,10 +91,10 @@ def propose(survey: Survey, answers: Answers) -> Proposal:
         Unknown: the recordings do not show everything.
         TrialError: an answer does not fit the recordings.
     """
-    return _Draft(survey, answers).proposal()
+    return Draft(survey, answers).proposal()
 
 
-class _Draft:
+class Draft:
     """Inference from a survey and answers, one step after the other."""
 
     def __init__(self, survey: Survey, answers: Answers) -> None:
@@ -107,7 +107,7 @@ class _Draft:
             s for s in survey.signals if not (s.is_constant or s.label in taken or s.dates or s.header.role == "time")
         ]
         self.notes: list[str] = []
-        self.by_group = {k: self._clock(next(s for s in survey.signals if s.group == k)) for k in self.times}
+        self.by_group = {k: self.clock(next(s for s in survey.signals if s.group == k)) for k in self.times}
 
     def proposal(self) -> Proposal:
         """Return the complete proposal."""
@@ -117,7 +117,7 @@ class _Draft:
         links = len([name for name in uses["measured"] if name.startswith("angle")]) or 1
         angles = self._angles(kind, links)
         model = self._model(kind, links, uses)
-        stamps = {name: self._clock(next(iter(columns.values())).signal) for name, columns in uses.items()}
+        stamps = {name: self.clock(next(iter(columns.values())).signal) for name, columns in uses.items()}
         return Proposal(kind, why, links, angles, uses, stamps, candidates, model, self.notes)
 
     def standard(self, signal: Signal) -> str:
@@ -150,7 +150,8 @@ class _Draft:
             raise Unknown(Question("--rate", "", f"rows a second, since {why}"))
         return found
 
-    def _clock(self, signal: Signal) -> Clock:
+    def clock(self, signal: Signal) -> Clock:
+        """Return the stamps of a signal; raise Unknown without the unit of its time."""
         times = self.times[signal.group]
         found = clocks.of(signal, times, self.units, self.answers.rate_hz)
         if not found.unit and (time := found.signal) is not None:
@@ -178,8 +179,8 @@ class _Draft:
         def first(of: Sequence[Signal], *standards: str) -> Signal | None:
             return next((s for s in of if found[s.label] in standards), None)
 
-        commands = [s for s in signals if self._role(s) == "command" and found[s.label] not in ("N", "N m", "A")]
-        others = [s for s in signals if self._role(s) != "command"]
+        commands = [s for s in signals if self.role(s) == "command" and found[s.label] not in ("N", "N m", "A")]
+        others = [s for s in signals if self.role(s) != "command"]
         for command in commands:
             for other in others:
                 if found[command.label] == found[other.label] != "":
@@ -199,11 +200,11 @@ class _Draft:
         if angles and not commands and all(found[s.label] in ("rad", "rad/s") for s in signals):
             one = len(angles) == 1
             return "tracking" if not one and any(map(self._leads, signals)) else "pendulum", "only angles move", one
-        if len(commands) == 1 and len(others) == 1 and self._role(others[0]) == "measured":
+        if len(commands) == 1 and len(others) == 1 and self.role(others[0]) == "measured":
             return "tracking", f"{commands[0].label} is commanded, {others[0].label} is measured", True
         return "tracking", "the headers do not show it", False
 
-    def _role(self, signal: Signal) -> str:
+    def role(self, signal: Signal) -> str:
         """Return the role of a signal, by its header, else by its file's name."""
         several = len(self.times) > 1
         path = self.survey.recordings[0].files[signal.group]
@@ -233,10 +234,10 @@ class _Draft:
         command = [self._named(text, "--command") for text in given.command[:1]]
         measured = [self._named(text, "--measured") for text in given.measured]
         rest = [s for s in self.moving if s not in measured]
-        likely = [s for s in rest if self._role(s) == "command"]
-        likely = likely or [s for s in rest if self._role(s) != "measured" and self._leads(s)] or rest
+        likely = [s for s in rest if self.role(s) == "command"]
+        likely = likely or [s for s in rest if self.role(s) != "measured" and self._leads(s)] or rest
         command = command or (likely if len(likely) == 1 else [])
-        outputs = [s for s in self.moving if s not in command and self._role(s) != "command"]
+        outputs = [s for s in self.moving if s not in command and self.role(s) != "command"]
         if command and not measured:
             measured = self._best(outputs, command[0])
             outputs = sorted(outputs, key=lambda s: s not in measured)
@@ -270,7 +271,7 @@ class _Draft:
         def score(signal: Signal) -> tuple[int, float]:
             same = self.standard(signal) == self.standard(command) != ""
             known = self.standard(signal) in ("rad", "m", "kPa", "counts")
-            role, lag_share = self._role(signal) == "measured", clocks.lead(command, signal, self.by_group)
+            role, lag_share = self.role(signal) == "measured", clocks.lead(command, signal, self.by_group)
             return 2 * same + 2 * role + known, round(abs(lag_share[1]), 1)
 
         scores = {s.label: score(s) for s in outputs}
@@ -289,7 +290,7 @@ class _Draft:
         pushes = [s for s in self.moving if self.standard(s) in (_DRIVES if kind == "driven_mass" else ("N m",))]
         rest = [s for s in self.moving if s not in measured]
         if not measured:
-            measured = [s for s in found if self._role(s) != "command"] or found
+            measured = [s for s in found if self.role(s) != "command"] or found
         if not measured:
             raise Unknown(_choice("--measured", "columns of the measured output, separated by commas", rest, found))
         if not given.measured and kind != "driven_mass":
@@ -298,7 +299,7 @@ class _Draft:
         if kind != "pendulum":
             count = len([s for s in measured if self.standard(s) == "rad"]) if kind == "chain" else 1
             command = [self._named(text, "--command") for text in given.command]
-            by_role = [[s for s in pushes if self._role(s) == role] for role in ("measured", "command", "")]
+            by_role = [[s for s in pushes if self.role(s) == role] for role in ("measured", "command", "")]
             command = command or next((some for some in (*by_role, pushes) if len(some) == count), [])
             if command:
                 chosen = {drive: sorted(command, key=_natural) if not given.command else command, **chosen}

@@ -28,6 +28,7 @@ _KINDS = {
     "driven_mass": "a force moves a mass",
     "pendulum": "links swing freely",
     "chain": "links with joint torques",
+    "mujoco": "joints of a MuJoCo model: softarm new rig MODEL.xml DATA...",
 }
 _PLAIN = re.compile(r"[A-Za-z_][\w./{}#*-]*")
 _CANDIDATES_MAX = 8
@@ -52,9 +53,13 @@ def _head(survey: Survey, proposal: Proposal, name: str, run: str) -> Iterator[s
     yield f"# Describes the recordings of a rig for the diagnosis. After each change: {run}"
     yield "# All keys: docs/reference/trials.md"
     yield ""
-    yield f"# The mechanism's name; effects are called {name}.NAME in the answer."
-    yield f"name: {scalar(name)}"
-    yield f"# {_KINDS[proposal.kind].capitalize()} ({proposal.why})."
+    if proposal.kind == "mujoco":
+        yield "# Effects are called JOINT.NAME in the answer."
+    else:
+        yield f"# The mechanism's name; effects are called {name}.NAME in the answer."
+        yield f"name: {scalar(name)}"
+    about = _KINDS[proposal.kind]
+    yield f"# {about[0].upper()}{about[1:]} ({proposal.why})."
     yield f"# Other kinds: {others}."
     yield f"kind: {proposal.kind}"
     if proposal.kind in ("pendulum", "chain"):
@@ -186,6 +191,8 @@ def _marks(marks: Sequence[str | float]) -> str:
 
 
 def _value(value: ModelValue) -> str:
+    if isinstance(value, str):
+        return scalar(value)
     return f"{value:.9g}" if isinstance(value, int | float) else json.dumps(list(value))
 
 

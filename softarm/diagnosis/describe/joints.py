@@ -1,0 +1,97 @@
+"""Proposal of a stage.yaml for a MuJoCo model: columns found by the names of its joints and actuators."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from softarm.common.quantity import factor
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.describe.proposal import Answers, Draft, Proposal, Use
+from softarm.diagnosis.describe.survey import Signal, Survey
+
+# Readings this much wider than the joint's range, or than two turns, are in degrees.
+WIDER, TURNS_RAD = 1.5, 13.0
+
+
+@dataclass(frozen=True, slots=True)
+class ModelJoint:
+    """Joint of a model, as a description needs it."""
+
+    name: str
+    unit: str  # rad or m
+    span: float  # of its range; inf without a limit
+    actuator: str  # empty without one
+    command_unit: str
+
+
+def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], model: str) -> Proposal:
+    """Return the content of a stage file of kind mujoco.
+
+    Args:
+        survey: the recordings.
+        answers: time, rate and units that the user has given.
+        joints: joints of the model.
+        model: path of the model, as the stage file names it.
+
+    Raises:
+        Unknown: the stamps or their unit are unknown.
+        TrialError: no column has the name of a joint.
+    """
+    draft, found = Draft(survey, answers), dict[str, dict[str, Use]]()
+    for joint in joints:
+        signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
+        command = _first(draft, signals, "command", ("m/s", "rad/s"))
+        measured = _first(draft, signals, "", ("m/s", "rad/s", "N", "N m", "A"))
+        if measured is None:
+            continue
+        driven = bool(joint.actuator) and command is not None
+        channel = "measured" if driven or not joint.actuator else "base"
+        found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.span)
+        if joint.actuator and command is not None:
+            span = joint.span if joint.command_unit == joint.unit else float("inf")
+            found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
+        if channel == "base":
+            draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
+        elif not joint.actuator:
+            draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
+    if "measured" not in found:
+        columns, names = (", ".join(x) for x in ([s.label for s in survey.signals], [j.name for j in joints]))
+        raise TrialError(
+            f"{model}: no column has the name of a driven or free joint; the model has {names}, the recordings have "
+            f"{columns}; rename the columns, or write the stage.yaml by hand (docs/gap/mujoco.md)"
+        )
+    stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
+    why = f"{len(found['measured'])} joints of the model are measured"
+    return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+
+
+def _owner(signal: Signal, joints: Sequence[ModelJoint]) -> ModelJoint | None:
+    """Return the joint whose name, or whose actuator's name, a column's header contains; the longest name wins."""
+    header = _plain(signal.header.name)
+    found = {len(own): joint for joint in joints for own in map(_plain, (joint.actuator, joint.name)) if own in header}
+    found.pop(0, None)
+    return found[max(found)] if found else None
+
+
+def _first(draft: Draft, signals: Sequence[Signal], role: str, excluded: Sequence[str]) -> Signal | None:
+    """Return the shortest-named signal that is a command, or that is none, without those of some quantities."""
+    fitting = [s for s in signals if (draft.role(s) == "command") == (role == "command")]
+    fitting = [s for s in fitting if draft.standard(s) not in excluded]
+    return min(fitting, key=lambda s: (len(s.label), s.label), default=None)
+
+
+def _use(draft: Draft, signal: Signal, unit: str, span: float) -> Use:
+    """Return a column with its unit: given, in its header, or by the joint's range."""
+    if given := draft.units.get(signal.label):
+        return Use(signal, given, "as given")
+    if (own := signal.header.unit) and factor(own)[1] == unit:
+        return Use(signal, own, "from the header")
+    wide = float(signal.all.max() - signal.all.min())
+    if unit == "rad" and wide > min(WIDER * span, TURNS_RAD):
+        return Use(signal, "deg", "by the range of the joint")
+    return Use(signal, unit, "of the model")
+
+
+def _plain(text: str) -> str:
+    """Return the letters and digits of a name."""
+    return re.sub(r"[^a-z0-9]", "", text.lower())

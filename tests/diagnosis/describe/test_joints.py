@@ -1,0 +1,86 @@
+"""`softarm new rig MODEL.xml DATA...`: columns are found by the names of joints and actuators."""
+
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from softarm.cli.main import main
+from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.robots import ROBOTS
+
+
+@pytest.fixture(scope="module")
+def columns():
+    return record(ROBOTS["camera"], Truth({}), "multisine", 6.0, np.random.default_rng(1)).columns
+
+
+def described(folder, columns, names, *options):
+    """Write a table with renamed columns beside the model, and describe both."""
+    shutil.copy(ROBOTS["camera"].model, folder / "camera.xml")
+    table = np.stack([columns[old] * scale for old, _, scale in names], axis=1)
+    header = ",".join(new for _, new, _ in names)
+    np.savetxt(folder / "run-1.csv", table, delimiter=",", header=header, comments="", fmt="%.6f")
+    out = folder / "stage.yaml"
+    data = ["camera.xml", "run-1.csv"]
+    result = CliRunner().invoke(
+        main, ["new", "rig", *(str(folder / each) for each in data), "--out", str(out), *options]
+    )
+    return result, (yaml.safe_load(out.read_text()) if out.exists() else None)
+
+
+USUAL = [
+    ("t", "t_s", 1.0),
+    ("cmd_pan", "pan_goal", 1.0),
+    ("cmd_tilt", "tilt_goal", 1.0),
+    ("q_pan", "pan", 1.0),
+    ("q_tilt", "tilt", 1.0),
+]
+
+
+def test_joints_actuators_and_units_are_found_and_the_file_is_valid(tmp_path, columns):
+    names = [*USUAL, ("q_track", "track_m", 1.0)]
+    result, stage = described(tmp_path, columns, names)
+    assert result.exit_code == 0, result.output
+    assert stage["kind"] == "mujoco"
+    assert stage["model"] == {"mjcf": "camera.xml"}
+    assert {name: use["source"] for name, use in stage["channels"]["measured"]["columns"].items()} == {
+        "track": "track_m", "pan": "pan", "tilt": "tilt",
+    }  # fmt: skip
+    assert {name: use["source"] for name, use in stage["channels"]["command"]["columns"].items()} == {
+        "pan_drive": "pan_goal", "tilt_drive": "tilt_goal",
+    }  # fmt: skip
+
+
+def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
+    degrees = [(old, new, 57.29578 if old != "t" else 1.0) for old, new, _ in USUAL]
+    _, stage = described(tmp_path, columns, [(old, new.replace("tilt", "tilt_deg"), s) for old, new, s in degrees])
+    units = {
+        use["source"]: use["unit"]
+        for name in ("measured", "command")
+        for use in stage["channels"][name]["columns"].values()
+    }
+    assert set(units.values()) == {"deg"}
+
+
+def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_path, columns):
+    _, stage = described(tmp_path, columns, [each for each in USUAL if each[1] != "tilt_goal"])
+    assert list(stage["channels"]["base"]["columns"]) == ["tilt"]
+    assert list(stage["channels"]["measured"]["columns"]) == ["pan"]
+
+
+def test_columns_without_a_joints_name_are_an_error_with_both_lists(tmp_path, columns):
+    result, stage = described(tmp_path, columns, [("t", "t_s", 1.0), ("q_pan", "alpha", 1.0), ("cmd_pan", "beta", 1.0)])
+    assert result.exit_code == 1
+    assert stage is None
+    assert "the model has track, pan, tilt, the recordings have" in result.output
+
+
+def test_two_models_are_refused(tmp_path):
+    for name in ("a.xml", "b.xml"):
+        shutil.copy(ROBOTS["camera"].model, tmp_path / name)
+    result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "a.xml"), str(tmp_path / "b.xml")])
+    assert result.exit_code == 2
+    assert "allowed is one model" in result.output
