@@ -99,55 +99,7 @@ def _drive(s: JointScales) -> Iterator[Effect]:
         "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
         plain="the actuator's gain of {stage} is off by {scale}",
     )
-    if s.follows:
-        most = 0.2 * s.travel
-        yield Effect(
-            "position_gain",
-            (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of kp"),),
-            "the position loop is stiffer or softer: kp x (1 + scale)",
-            "standard proportional position loop",
-            plain="the position loop of {stage} has a gain that is off by {scale}",
-        )
-        yield Effect(
-            "command_bias",
-            (strength("bias", s.length, 0.0, -most, most, 0.02 * s.travel, "added to the command"),),
-            "the zero of the commands differs from the zero of the readings",
-            source("pressure.sensor_bias"),
-            plain="the commands of {stage} are off by {bias}",
-        )
-        yield Effect(
-            "deadband",
-            (strength("width", s.length, 0.0, 0.0, 0.2 * s.travel, 0.01 * s.travel, "either way"),),
-            "errors of the position up to the width make no torque",
-            source("pressure.deadband"),
-            plain="{stage} ignores errors below {width}",
-        )
-        slow = max(s.speed, 1e-6)
-        yield Effect(
-            "rate_limit",
-            (
-                strength(
-                    "rate",
-                    f"{s.length}/s",
-                    math.inf,
-                    0.5 * slow,
-                    max(s.command_rate, 2 * slow),
-                    0.8 * slow,
-                    "of the position that the loop follows",
-                ),
-            ),
-            "the position that the loop follows moves no faster than this (a servo's profile speed)",
-            source("pressure.rate_limit"),
-            plain="{stage} moves by at most {rate}",
-        )
-    else:
-        yield Effect(
-            "torque_offset",
-            (strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),),
-            "a constant torque acts at the joint",
-            source("arm.torque_offset"),
-            plain="a constant {torque} acts at {stage}",
-        )
+    yield from _loop(s) if s.follows else _motor(s)
     yield Effect(
         "ceiling",
         (strength("limit", s.force, math.inf, 0.1 * s.torque, 3 * s.torque, 0.7 * s.torque, "either way"),),
@@ -157,8 +109,63 @@ def _drive(s: JointScales) -> Iterator[Effect]:
     )
 
 
+def _loop(s: JointScales) -> Iterator[Effect]:
+    """Yield the effects of a position loop."""
+    most = 0.2 * s.travel
+    yield Effect(
+        "position_gain",
+        (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of kp"),),
+        "the position loop is stiffer or softer: kp x (1 + scale)",
+        "standard proportional position loop",
+        plain="the position loop of {stage} has a gain that is off by {scale}",
+    )
+    yield Effect(
+        "command_bias",
+        (strength("bias", s.length, 0.0, -most, most, 0.02 * s.travel, "added to the command"),),
+        "the zero of the commands differs from the zero of the readings",
+        source("pressure.sensor_bias"),
+        plain="the commands of {stage} are off by {bias}",
+    )
+    yield Effect(
+        "deadband",
+        (strength("width", s.length, 0.0, 0.0, 0.2 * s.travel, 0.01 * s.travel, "either way"),),
+        "errors of the position up to the width make no torque",
+        source("pressure.deadband"),
+        plain="{stage} ignores errors below {width}",
+    )
+    slow = max(s.speed, 1e-6)
+    yield Effect(
+        "rate_limit",
+        (
+            strength(
+                "rate",
+                f"{s.length}/s",
+                math.inf,
+                0.5 * slow,
+                max(s.command_rate, 2 * slow),
+                0.8 * slow,
+                "of the position that the loop follows",
+            ),
+        ),
+        "the position that the loop follows moves no faster than this (a servo's profile speed)",
+        source("pressure.rate_limit"),
+        plain="{stage} moves by at most {rate}",
+    )
+
+
+def _motor(s: JointScales) -> Iterator[Effect]:
+    """Yield the effects of a torque command."""
+    yield Effect(
+        "torque_offset",
+        (strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),),
+        "a constant torque acts at the joint",
+        source("arm.torque_offset"),
+        plain="a constant {torque} acts at {stage}",
+    )
+
+
 def _friction(s: JointScales) -> Iterator[Effect]:
-    usual, per_speed, dry = USUAL * s.usual, f"{s.force} s/{s.length}", s.joint.dry
+    usual, dry = USUAL * s.usual, s.joint.dry
     yield Effect(
         "coulomb_friction",
         (
@@ -194,6 +201,12 @@ def _friction(s: JointScales) -> Iterator[Effect]:
             "Duclusaud et al. 2024, Extended friction models for the physics simulation of servo actuators",
             plain="the friction of {stage} grows by {share} of its torque",
         )
+    yield from _of_speed(s)
+
+
+def _of_speed(s: JointScales) -> Iterator[Effect]:
+    """Yield friction that grows with the speed."""
+    usual, per_speed = USUAL * s.usual, f"{s.force} s/{s.length}"
     top, own = 3 * s.torque / s.speed, s.joint.viscous
     yield Effect(
         "damping",

@@ -226,23 +226,11 @@ class Mechanism:
                 f"{self.path}: joint {self._name('joint', number)} has {len(own)} actuators ({others}); allowed is "
                 "one; join them, or leave the joint's column out"
             )
-        dynamics = (
-            int(mujoco.mjtDyn.mjDYN_NONE),
-            int(mujoco.mjtDyn.mjDYN_FILTER),
-            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+        self._refuse_nonlinear(i)
+        gear, bias = (
+            float(m.actuator_gear[i, 0]),
+            m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE)),
         )
-        affine = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-        fixed = int(mujoco.mjtGain.mjGAIN_FIXED)
-        if (
-            m.actuator_gaintype[i] != fixed
-            or m.actuator_biastype[i] not in affine
-            or m.actuator_dyntype[i] not in dynamics
-        ):
-            raise TrialError(
-                f"{self.path}: actuator {name} is neither a motor, position, velocity nor general actuator with fixed "
-                "gain and affine bias; write it as one of these, or leave its joint's column out"
-            )
-        gear, bias = float(m.actuator_gear[i, 0]), m.actuator_biasprm[i] * (m.actuator_biastype[i] != affine[0])
         low, high = -np.inf, np.inf
         if m.actuator_forcelimited[i]:
             low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
@@ -260,9 +248,29 @@ class Mechanism:
             high=high,
             command_low=float(ctrl[0]),
             command_high=float(ctrl[1]),
-            lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != dynamics[0] else 0.0,
+            lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_NONE) else 0.0,
             delay_s=0.0 if delay is None else float(delay[i]),
         )
+
+    def _refuse_nonlinear(self, i: int) -> None:
+        """Raise TrialError for an actuator that is not affine in its command."""
+        m, mujoco = self.model, self._mujoco
+        dynamics = (
+            int(mujoco.mjtDyn.mjDYN_NONE),
+            int(mujoco.mjtDyn.mjDYN_FILTER),
+            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+        )
+        affine = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+        fixed = int(mujoco.mjtGain.mjGAIN_FIXED)
+        if (
+            m.actuator_gaintype[i] != fixed
+            or m.actuator_biastype[i] not in affine
+            or m.actuator_dyntype[i] not in dynamics
+        ):
+            raise TrialError(
+                f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor general actuator with fixed "
+                "gain and affine bias; write it as one of these, or leave its joint's column out"
+            )
 
 
 @cache
