@@ -268,8 +268,8 @@ class Mechanism:
             or m.actuator_dyntype[i] not in dynamics
         ):
             raise TrialError(
-                f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor general actuator with fixed "
-                "gain and affine bias; write it as one of these, or leave its joint's column out"
+                f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor general "
+                "actuator with fixed gain and affine bias; write it as one of these, or leave its joint's column out"
             )
 
 
