@@ -53,12 +53,13 @@ FAULTS: Final[Mapping[str, Fault]] = {
     "play": Fault(("backlash",), _changed(play=lambda s, x: 0.04 * x * s.half)),
     "limit": Fault(("ceiling",), _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)), "driven"),
     "spring": Fault(("spring",), _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half)),
+    # More friction one way than the other is friction and a constant torque.
+    "uneven": Fault(("torque_offset", "command_bias"), _changed(uneven=lambda s, x: 0.25 * x * s.torque), "driven"),
     "pull": Fault(("torque_offset", "command_bias"), _changed(torque=lambda s, x: 0.3 * x * s.torque), "driven"),
 }
 UNKNOWNS: Final[Mapping[str, Fault]] = {
     "cogging": Fault((), _changed(cogging=lambda s, x: 0.25 * x * s.torque)),
     "tiring": Fault((), _changed(tiring=lambda s, x: 0.9 * x), "driven"),
-    "uneven": Fault((), _changed(uneven=lambda s, x: 0.25 * x * s.torque)),
     "bent": Fault((), _changed(bent=lambda s, x: 0.05 * x * s.half)),
 }
 

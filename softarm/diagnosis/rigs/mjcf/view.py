@@ -40,6 +40,8 @@ UNSURE_MOST = 0.5
 MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
 OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
+# Uncertainty of times, as a share of the time between two commands.
+TIMED = 0.05
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
 # Shares of the largest speed that bound the regimes.
 SLOW, STILL = 0.15, 0.01
@@ -218,6 +220,10 @@ class JointView(RigView):
             command_rate=self._command_rate(),
         )
 
+    def _command_step(self) -> float:
+        """Return the usual time between two commands, s."""
+        return max(float(np.median(np.diff(t))) for t, _ in self._inputs)
+
     def _command_rate(self) -> float:
         if not self._inputs:
             return 0.0
@@ -252,10 +258,16 @@ class JointView(RigView):
             "position_gain.scale": OF_OWN,
         }
         if self._inputs:
-            own["dead_time.delay"] = HELD_LATE * max(float(np.median(np.diff(t))) for t, _ in self._inputs)
+            own["dead_time.delay"] = HELD_LATE * self._command_step()
             own["torque_offset.torque"] = OF_FORCE * s.usual
             own["command_bias.bias"] = ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel
         return own
+
+    @property
+    def model_uncertainty(self) -> Mapping[str, float]:
+        """Uncertainty of times, which steps of command and simulation round: 'effect.parameter' -> half-width."""
+        own = TIMED * self._command_step() if self._inputs else 0.0
+        return dict.fromkeys(("dead_time.delay", "latency.delay", "lag.time"), own)
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
