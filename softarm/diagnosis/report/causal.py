@@ -113,14 +113,15 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     chosen = " chosen" if name == verdict.where.stage else ""
     share = verdict.where.share.get(name)
+    most = 19 if share is None else 13  # letters beside the share
     kind = "box" + chosen if name in gap.before or share is not None else "box absent"
     parts = [
         el("rect", x=x, y=y, width=_BOX_W, height=_BOX_H, rx=8, class_=kind),
-        write(x + 12, y + 22, name if len(name) < 20 else name[:18] + "…", kind="name"),
+        write(x + 12, y + 22, name if len(name) <= most else f"{name[: most - 1]}…", kind="name"),
     ]
     if share is not None:
         parts += [
-            write(x + _BOX_W - 12, y + 22, percent(share), "end", "share"),
+            write(x + _BOX_W - 12, y + 22, percent(share).replace("under", "<"), "end", "share"),
             line(x + 12, y + 35, x + _BOX_W - 12, y + 35, "rail"),
             line(x + 12, y + 35, x + 12 + share * (_BOX_W - 24), y + 35, "part") if share > 0 else Html(""),
         ]

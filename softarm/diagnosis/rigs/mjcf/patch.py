@@ -49,17 +49,20 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
     before = path.read_text()
     model, edits, left_out = mechanism(path), _Edits(before), []
     payloads: dict[str, list[float]] = {}
+    shares: dict[str, list[float]] = {}
     for place, value in sorted(found.items()):
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
         if parameter.startswith("mass_"):
-            edits.change_mass(parameter.removeprefix("mass_"), factor=1 + value)
+            shares.setdefault(parameter.removeprefix("mass_"), []).append(value)
         elif parameter == "payload.mass":
             payloads.setdefault(joint.end, []).append(value)
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
-    for body, masses in payloads.items():
-        mass = float(np.mean(masses))  # several joints weigh the same one
+    for body, values in shares.items():  # several joints weigh the same body
+        edits.change_mass(body, factor=1 + float(np.mean(values)))
+    for body, values in payloads.items():
+        mass = float(np.mean(values))
         if not edits.change_mass(body, more_kg=mass):
             left_out.append(f"payload of {mass:.{_DIGITS}g} kg at body {body}, which has no `inertial` element")
     after = edits.text
