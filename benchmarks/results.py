@@ -46,32 +46,34 @@ _SIMULATOR = ("softarm/simulator", "softarm/schemas/model.py", "softarm/schemas/
 _FLIGHTS = (*_CONTROL, *_SIMULATOR, "softarm/drivers/bodies", "softarm/evaluation", "softarm/policies")
 _TRAINING = (*_SIMULATOR, "softarm/training")
 _DIAGNOSIS = (*_SIMULATOR, "softarm/diagnosis")
+_ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
+_DAEMON = "validation/daemon_process.py"
 
 # Result name, or the part of it before the first hyphen -> the paths whose change may change the figures.
 DEPENDS: Mapping[str, tuple[str, ...]] = {
     "ablation": (*_FLIGHTS, *_TRAINING),
-    "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", "validation/adversary.py"),
-    "adversary-tick": (*_CONTROL, "validation/adversary.py"),
+    "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
+    "adversary-tick": (*_CONTROL, *_ADVERSARY),
     "all": (*_FLIGHTS, "softarm/reality"),
     "blind": (*_DIAGNOSIS, "softarm/reality"),
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
-    "dead": (*_WIRES, "validation/dead_daemon.py"),
+    "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": (*_DIAGNOSIS, "softarm/reality"),
     "diagnosis": _DIAGNOSIS,
     "differ": (*_FLIGHTS, "softarm/reality"),
     "faults": (*_FLIGHTS, "softarm/reality", "validation/faults.py"),
     "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
     "grid": _FLIGHTS,
-    "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", "validation/limits.py"),
+    "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),
     "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),
-    "matrix": (*_WIRES, "softarm/policies", "validation/matrix"),
+    "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "rl": _TRAINING,
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
-    "stop": (*_WIRES, *_API, "validation/stop.py"),
+    "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
     "sweep": _TRAINING,
     "training": (*_TRAINING, "benchmarks/training.py"),
-    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", "validation/viewers.py"),
+    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", _DAEMON, "validation/viewers.py"),
 }
 
 
