@@ -82,6 +82,7 @@ class TableTrial(Strict):
     # Channel -> file, relative to the data folder.
     files: Annotated[str, Field(min_length=1)] | Annotated[dict[str, str], Field(min_length=1)]
     segment: str | None = None  # replaces {segment} in a column's source
+    split: Annotated[str, Field(min_length=1)] | None = None  # column with another number for each trial of a file
     # Seconds after the recording's first row; rows outside are left out.
     from_s: Annotated[float, Field(ge=0)] = 0.0
     to_s: Annotated[float, Field(gt=0)] | None = None

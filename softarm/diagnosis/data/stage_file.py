@@ -30,6 +30,8 @@ class Recording:
     # Seconds after the first row of its files.
     from_s: float = 0.0
     to_s: float | None = None
+    split: str | None = None  # column that numbers the trials of a file
+    only: float | None = None  # number of this trial
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> 
             raise TrialError(f"{of}: names no file for the {name} channel; add it under `files`")
     if trial.segment is not None and not _has_segment(about):
         raise TrialError(f"{of}: has a segment, but no `source` holds {{segment}}; put it there, or leave it out")
-    cut = trial.segment, trial.from_s, trial.to_s
+    cut = trial.segment, trial.from_s, trial.to_s, trial.split
     stars = {name: pattern for name, pattern in files.items() if _STAR.search(pattern)}
     if not stars:
         first = Path(next(iter(files.values())))

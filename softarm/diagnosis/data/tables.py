@@ -1,7 +1,7 @@
 """Reading of a rig's tables as trials, as its stage.yaml describes them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
     wrong: dict[str, None] = {}
     for stage in load(path):
-        for recording in recordings(path, base, stage):
+        for recording in _split(recordings(path, base, stage), stage, loaded):
             if isinstance(recording, TrialError):
                 wrong[str(recording)] = None
                 continue
@@ -65,6 +65,29 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
+def _split(
+    found: Iterable[Recording | TrialError], stage: Stage, loaded: dict[Path, Table]
+) -> Iterator[Recording | TrialError]:
+    """Yield recordings, those of several trials in one file split by their column."""
+    for recording in found:
+        if isinstance(recording, TrialError) or recording.split is None:
+            yield recording
+            continue
+        try:
+            tables = [_loaded(path, stage, loaded) for path in recording.files.values()]
+            for number in np.unique(table_files.readings(tables[0], recording.split, blank=False)):
+                yield replace(recording, name=f"{recording.name}-{number:g}", only=float(number))
+        except TrialError as error:
+            yield error
+
+
+def _loaded(path: Path, stage: Stage, loaded: dict[Path, Table]) -> Table:
+    """Return a table, read once."""
+    if path not in loaded:
+        loaded[path] = table_files.load(path, stage.form)
+    return loaded[path]
+
+
 def _trial(stage: Stage, recording: Recording, element: str, base: Path, loaded: dict[Path, Table]) -> Trial:
     about = stage.about
     read: dict[str, _Rows] = {}
@@ -77,10 +100,8 @@ def _trial(stage: Stage, recording: Recording, element: str, base: Path, loaded:
             missing[name] = f"trial {recording.name} names no file for it"
             continue
         path = recording.files[name]
-        if path not in loaded:
-            loaded[path] = table_files.load(path, stage.form)
-        place = about.elements.get(element)
-        read[name], found, zone = _rows(loaded[path], channel, recording.segment, place)
+        table, place = _loaded(path, stage, loaded), about.elements.get(element)
+        read[name], found, zone = _rows(table, channel, recording, place)
         zoned.setdefault(zone, f"{path}: column {channel.time.source}")
         warnings += found
     for name, rows in _within(read, recording).items():
@@ -132,9 +153,10 @@ class _Rows:
 
 
 def _rows(
-    table: Table, channel: TableChannel, segment: str | None, element: int | None
+    table: Table, channel: TableChannel, recording: Recording, element: int | None
 ) -> tuple[_Rows, list[str], bool | None]:
     """Rows of a channel with a reading in every column, warnings about the others, and the time zones of its stamps."""
+    segment = recording.segment
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
         source = next(iter(channel.columns.values())).source
         raise TrialError(
@@ -146,6 +168,8 @@ def _rows(
     time, zoned = stamps or (table_files.counted(channel.time, len(next(iter(columns.values())))), None)
     warnings = []
     keep = np.isfinite(time)
+    if recording.split is not None:
+        keep &= table_files.readings(table, recording.split, blank=False) == recording.only
     for name, values in columns.items():
         if len(values) != len(time):
             raise TrialError(
