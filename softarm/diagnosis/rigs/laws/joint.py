@@ -116,6 +116,26 @@ def residuals(windows, drive, path, law, step_s, each, out):
 
 
 @compiled
+def free_starts(left, edges, directions, solve):
+    """Remove from values left [T] what a change of each window's start explains; NaN stays.
+
+    Args:
+        left: values, changed in place.
+        edges: first samples of the windows, and the end [W + 1].
+        directions: change of the values with position and speed at their window's start, [2, T].
+        solve: least-squares fit of that change to the values, [2, T].
+    """
+    for w in range(len(edges) - 1):
+        first = second = 0.0
+        for i in range(edges[w], edges[w + 1]):
+            if not math.isnan(left[i]):
+                first += solve[0, i] * left[i]
+                second += solve[1, i] * left[i]
+        for i in range(edges[w], edges[w + 1]):
+            left[i] -= first * directions[0, i] + second * directions[1, i]
+
+
+@compiled
 def follow(command, rate, lag_s, step_s, out):
     """Write the command [n] that reaches the actuator to out [n]: no faster than `rate`, after a first-order lag."""
     kept = math.exp(-step_s / lag_s) if lag_s > 1e-9 else 0.0

@@ -51,7 +51,7 @@ _INPUT = ("dead_time.delay", "latency.delay", "lag.time", "rate_limit.rate", "co
 class JointView(RigView):
     """View from a joint's command, or its measured torque, to its position."""
 
-    step_cost_s = 0.024e-6
+    step_cost_s = 0.06e-6
     blocks_each = 2
 
     def __init__(self, trials: Sequence[Trial]) -> None:
@@ -110,8 +110,7 @@ class JointView(RigView):
 
     def _free_starts(self, k: int, left: Array) -> None:
         """Remove from a trial's values [T] what a change of its windows' starts explains."""
-        for (a, b), (directions, solve) in zip(pairwise(self._windows[k].edges), self._free[k], strict=True):
-            left[a:b] -= (solve @ np.nan_to_num(left[a:b])) @ directions
+        laws.free_starts(left, self._windows[k].edges, *self._free[k])
 
     def _substeps(self) -> int:
         """Return the integration steps per sample: no longer than the model's own, and fine enough for its loop."""
@@ -326,8 +325,8 @@ class JointView(RigView):
         laws.residuals(windows, drive, path, law, self._motions[k].grid.step_s, self._each, out)
         return out
 
-    def _freed(self, k: int) -> list[tuple[Array, Array]]:
-        """Return how each window's values change with its start [2, n], and the start's least-squares fit [2, n].
+    def _freed(self, k: int) -> tuple[Array, Array]:
+        """Return how a trial's values change with their window's start [2, T], and the least-squares fit of it [2, T].
 
         The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
         """
@@ -338,12 +337,12 @@ class JointView(RigView):
             moved = windows._replace(starts=windows.starts + NUDGED * spread[d] * np.eye(2)[d])
             changed.append((self._left(k, moved, at, law, drive) - base) / NUDGED)
         both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
-        found = []
+        solve = np.empty_like(both)
         for a, b in pairwise(windows.edges):
             directions = both[:, a:b]
             normal = directions @ directions.T + float(self.floor[0]) ** 2 * np.eye(2)
-            found.append((directions, np.asarray(np.linalg.solve(normal, directions))))
-        return found
+            solve[:, a:b] = np.linalg.solve(normal, directions)
+        return both, solve
 
     def _law(self, at: Mapping[str, float]) -> Array:
         law, joint, actuator = np.zeros(laws.COLUMNS), self._joint, self._actuator
