@@ -42,6 +42,8 @@ def test_every_fault_changes_the_recording(name):
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
 
 
+# Over 3 s: three recordings of 20 s.
+@pytest.mark.slow
 def test_a_case_holds_its_input_apart_from_its_causes(tmp_path):
     draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
     assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
