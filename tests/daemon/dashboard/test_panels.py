@@ -92,6 +92,12 @@ def test_a_log_is_downloaded_replayed_and_deleted(page, daemon, flight, tmp_path
     assert (tmp_path / "mine.mcap").read_bytes() == flight.read_bytes()
     row.get_by_role("button", name="Replay").click()
     row.locator("text=✓ Same commands").wait_for(timeout=1000 * REPLAY_S)
+    newer = flight.with_name("newer.mcap")
+    shutil.copy(FLIGHT, newer)
+    tab(page, "logs")
+    panel.locator("li", has_text="newer.mcap").wait_for()
+    assert row.locator("text=✓ Same commands").count() == 1  # a reload keeps the answer
+    newer.unlink()
     row.get_by_role("button", name="Delete").click()
     assert flight.exists()
     page.locator("#panel-logs-tab").focus()  # cancelled by moving the focus

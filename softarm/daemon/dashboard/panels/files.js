@@ -20,6 +20,7 @@ const link = (href, text, properties) => el("a", { class: "button small", href, 
 export class Logs extends Panel {
   constructor() {
     super("Logs", "api/logs");
+    this.messages = new Map(); // name of a log -> the place of its answer, which a reload of the list keeps
   }
 
   fill({ directory, logs }) {
@@ -34,10 +35,16 @@ export class Logs extends Panel {
       link(path("logs", log.name), "Download", { download: log.name, "aria-label": `Download ${log.name}` }),
       button("Replay", () => this.replay(log, made.message)),
       button("Delete", (pressed) => this.confirm(log, pressed, made.message)));
+    const kept = this.messages.get(log.name);
+    if (kept) {
+      made.message.replaceWith(kept);
+      made.message = kept;
+    }
     return made.row;
   }
 
   async replay(log, message) {
+    this.messages.set(log.name, message);
     message.textContent = "Replaying. This takes up to five minutes …";
     try {
       const answer = await post(`${path("logs", log.name)}/replay`, undefined, { seconds: REPLAY_S });
@@ -67,6 +74,7 @@ export class Logs extends Panel {
     message.textContent = "Deleting …";
     try {
       await ask("DELETE", path("logs", log.name), undefined, { raw: true });
+      this.messages.delete(log.name);
       await this.open();
     } catch (error) {
       message.textContent = words(error);
