@@ -2,7 +2,17 @@
 
 from softarm.diagnosis.rigs.scales import TrackingScales
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
-from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
+from softarm.schemas.verdict import (
+    CalibratedParameter,
+    Estimate,
+    Gap,
+    Interval,
+    NamedEffect,
+    Quantity,
+    Shrink,
+    Verdict,
+    Where,
+)
 
 SCALES = TrackingScales(
     step_s=0.01, longest_s=20, late_s=0.1, reach=1, top=0.5, commanded=1, rise=1, fall=1, acceleration=10, noise=1e-3
@@ -40,3 +50,20 @@ def verdict(kind, *effects, stage=None, share=(), regime="throughout", gaps=None
 def vocabulary(*stages):
     """Return the effects of servos."""
     return {each.name: each for stage in stages for each in tracking_effects(stage, "rad", SCALES)}
+
+
+def with_parameters(effects=(), calibration=()):
+    """Return a verdict with parameters of effects and of the calibration, each as (path, value, unit)."""
+    named = {}
+    for path, value, unit in effects:
+        name, _, parameter = path.rpartition(".")
+        named.setdefault(name, {})[parameter] = Estimate(value=value, low=value, high=value, unit=unit)
+    shrink = Shrink(stage=interval(0.5, 0.4, 0.6))
+    calibrated = tuple(
+        CalibratedParameter(
+            name=path, value=x, low=x, high=x, unit=unit, nominal=0, tolerance_low=x, tolerance_high=x, shrink=0
+        )
+        for path, x, unit in calibration
+    )
+    of = (NamedEffect(name=name, parameters=each, shrink=shrink) for name, each in named.items())
+    return verdict("named", *of, calibration=calibrated)

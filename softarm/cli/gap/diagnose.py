@@ -84,6 +84,7 @@ def diagnose(
         )
     refuse_misplaced(inputs)
     check_places(json_file, report_file, patch_file, limits_file)
+    mjcf = _mjcf_of(inputs, data) if patch_file is not None and patch_file.suffix == ".xml" else None
     leaves(NOTHING)
     with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
@@ -92,8 +93,8 @@ def diagnose(
     patched = result.calibrated if calibration else result.patched
     rig_patch = None
     if patch_file is not None and len(stage_files) == 1:
-        if patch_file.suffix == ".xml":
-            rig_patch = _mjcf_patch(stage_files[0], data, result, calibration)
+        if mjcf is not None:
+            rig_patch = _mjcf_patch(mjcf, result, calibration)
         else:
             rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
     with writing():
@@ -119,15 +120,24 @@ def diagnose(
         click.echo(f"wrote {', '.join(map(str, written))}")
 
 
-def _mjcf_patch(stage: Path, data: Path | None, result: "Diagnosis", calibration: bool) -> str | None:
-    """Return the patched MJCF file of a stage.yaml, and show the changes."""
+def _mjcf_of(inputs: tuple[Path, ...], data: Path | None) -> Path:
+    """Return the MJCF file of the only input; end the command if it is no stage.yaml of kind mujoco."""
     from softarm.diagnosis.data import stage_file
+    from softarm.diagnosis.data.read import TABLES
+
+    if len(inputs) != 1 or inputs[0].suffix not in TABLES:
+        raise click.UsageError("--patch: .xml is for one stage.yaml of kind mujoco; name a .yaml, or that file alone")
+    (stage, *_) = stage_file.load(inputs[0])
+    if stage.about.kind != "mujoco":
+        raise click.UsageError(f"--patch: .xml is for a stage of kind mujoco; this is {stage.about.kind}: name a .yaml")
+    return stage.file(str(stage.about.model["mjcf"]), data or inputs[0].parent)
+
+
+def _mjcf_patch(model: Path, result: "Diagnosis", calibration: bool) -> str | None:
+    """Return the patched text of an MJCF file, and show the changes."""
     from softarm.diagnosis.rigs.mjcf import patch
 
-    (about, *_) = stage_file.load(stage)
-    if about.about.kind != "mujoco":
-        raise click.UsageError(f"--patch: .xml is for a stage of kind mujoco; this is {about.about.kind}: name a .yaml")
-    found = patch.patched(about.file(str(about.about.model["mjcf"]), data or stage.parent), result.verdict, calibration)
+    found = patch.patched(model, result.verdict, calibration)
     if found is None:
         return None
     click.echo(found.diff.rstrip())

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_mass_effects
-from softarm.diagnosis.rigs.grid import held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.motion import (
     Motion,
+    directions,
     motions,
     period,
     summed_twice,
+    time_uncertainty,
     window_edges,
     window_lengths,
     within_windows,
@@ -36,8 +38,6 @@ TRIED, NUDGED = 20, 0.05
 ROUNDS = 3
 # Uncertainty of the input's stamps, in steps: the input may be held or sampled.
 HELD_LATE = 0.5
-# Uncertainty of times, as a share of the time between two inputs; simulated rigs showed 0.03.
-TIMED = 0.05
 # Errors of a good nominal model: shares of its gain, of its own values, and of the usual force.
 OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.004
 # Uncertainty of the travel over which friction bends, as a multiple.
@@ -117,20 +117,18 @@ class DrivenMassView(RigView):
     def tolerances(self) -> Mapping[str, float]:
         """Errors that a good nominal model may have, by 'effect.parameter'."""
         s = self._scales
-        between = [float(np.median(np.diff(t))) for t, _ in self._inputs]
         own = {path: max(OF_OWN * abs(self.nominal(path)), OF_FORCE * s.usual) for path in _MODEL.values()}
         return own | {
             "coulomb_friction.give": GIVE_TIMES * self.nominal("coulomb_friction.give"),
             "gain.scale": OF_GAIN,
-            "dead_time.delay": HELD_LATE * max(between),
+            "dead_time.delay": HELD_LATE * usual_step(self._inputs),
             "damping.viscous": max(OF_OWN * self.nominal("damping.viscous"), OF_FORCE * s.usual / s.speed),
         }
 
     @property
     def model_uncertainty(self) -> Mapping[str, float]:
-        """Uncertainty of times, which steps of input and simulation round: 'effect.parameter' -> half-width."""
-        own = TIMED * max(float(np.median(np.diff(t))) for t, _ in self._inputs)
-        return dict.fromkeys(("dead_time.delay", "latency.delay", "lag.time"), own)
+        """Uncertainty of times: 'effect.parameter' -> half-width."""
+        return time_uncertainty(usual_step(self._inputs))
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -204,20 +202,18 @@ class DrivenMassView(RigView):
         if (k, delay_s) not in self._late:
             if len(self._late) > 64 * len(self._motions):
                 self._late.clear()
-            g, (t, summed) = self._motions[k].grid, self._inputs[k]
-            h = g.step_s / self._each
-            at = np.interp(g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1), t, summed)
-            self._late[k, delay_s] = np.diff(at) / h
+            g = self._motions[k].grid
+            start_s, count = g.t_s[0] - delay_s, len(g.t_s) * self._each
+            self._late[k, delay_s] = held_means(self._inputs[k], start_s, g.step_s / self._each, count)
         return self._late[k, delay_s]
 
     def _starts(self, m: Motion, edges: NDArray[np.int64]) -> laws.Windows:
         """Windows of a trial with the measured state at the start of each."""
         first = edges[:-1]
-        direction = np.where(np.abs(m.speed) > 0.05 * self._scales.speed, np.sign(m.speed), 0.0)
-        last = np.maximum.accumulate(np.where(direction != 0.0, np.arange(len(direction)), 0))
+        moving, sides = directions(m, edges, 0.05 * self._scales.speed)
         position = np.zeros(len(first)) if self._speed_alone else m.position[first]
         starts = np.ascontiguousarray(np.stack((position, m.speed[first]), axis=1))
-        return laws.Windows(m.seen, edges, starts, m.spread, direction[last[first]], direction[first])
+        return laws.Windows(m.seen, edges, starts, m.spread, sides, moving)
 
     def _signals(self, k: int) -> dict[str, Array]:
         """Features for a flexible model of the residual; sums over a window, because a push shows long after."""

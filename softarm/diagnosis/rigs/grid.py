@@ -65,6 +65,23 @@ def held_integral(series: Series, values: Array, margin_s: float) -> tuple[Array
     return t, np.concatenate(([0.0], np.cumsum(held * np.diff(t))))
 
 
+def held_means(integral: tuple[Array, Array], start_s: float, step_s: float, count: int) -> Array:
+    """Return the means of held values over steps, [count]; a start may be any fraction of a sample.
+
+    Args:
+        integral: result of `held_integral`.
+        start_s: start of the first step.
+        step_s: length of a step.
+        count: number of steps.
+    """
+    return np.asarray(np.diff(np.interp(start_s + step_s * np.arange(count + 1), *integral)) / step_s)
+
+
+def usual_step(integrals: Sequence[tuple[Array, Array]]) -> float:
+    """Return the usual time between two inputs, s, of the slowest trial; integrals: results of `held_integral`."""
+    return max(float(np.median(np.diff(t))) for t, _ in integrals)
+
+
 def time_since_change(t_s: Array, values: Array) -> Array:
     """Return the time since a value last changed, s [T]."""
     changed = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1))

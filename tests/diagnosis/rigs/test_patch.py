@@ -12,10 +12,10 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs import patch
 from softarm.diagnosis.rigs.diagnose import view_of
-from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.schemas.verdict import Verdict
+from tests.diagnosis.verdicts import with_parameters as found
 
 PENDULUM = Path(__file__).parents[1] / "real" / "pendulum-free"
-NO_GAP = Gap(before={}, after={}, floor={}, ceiling={})
 T = np.arange(0, 4, 0.01)
 SERVO = """
 kind: tracking
@@ -25,27 +25,6 @@ channels:
 trials:
   - {files: "*.csv"}
 """
-
-
-def found(effects=(), calibration=()):
-    """Return a verdict with effects and calibrated parameters, each as (name, value)."""
-    share = Shrink(stage=Interval(value=0.5, low=0.4, high=0.6))
-    named = {}
-    for path, value in effects:
-        name, _, parameter = path.rpartition(".")
-        named.setdefault(name, {})[parameter] = Estimate(value=value, low=value, high=value, unit="")
-    return Verdict(
-        verdict="named",
-        where=Where(stage=None, share={}, regime=""),
-        effects=tuple(NamedEffect(name=name, parameters=of, shrink=share) for name, of in named.items()),
-        calibration=tuple(
-            CalibratedParameter(
-                name=name, value=x, low=x, high=x, unit="", nominal=0, tolerance_low=x, tolerance_high=x, shrink=0
-            )
-            for name, x in calibration
-        ),
-        gap=NO_GAP,
-    )
 
 
 def write(path, text):
@@ -90,7 +69,7 @@ def test_a_patched_pendulum_has_its_friction_and_is_not_missing_it_again(tmp_pat
 
 
 def test_a_patch_is_in_the_units_of_the_table_and_keeps_the_name(servo, tmp_path):
-    text = patch.patched(servo, found([("grip.deadband.width", 2.0)], [("grip.gain.scale", 0.01)]), True)
+    text = patch.patched(servo, found([("grip.deadband.width", 2.0, "")], [("grip.gain.scale", 0.01, "")]), True)
     view = viewed(write(tmp_path / "other.yaml", text), tmp_path)
     assert view.stage == "grip"
     assert view.nominal("deadband.width") == pytest.approx(np.radians(2.0))
@@ -100,21 +79,21 @@ def test_a_patch_is_in_the_units_of_the_table_and_keeps_the_name(servo, tmp_path
 
 
 def test_a_ceiling_of_the_nominal_model_holds(servo, tmp_path):
-    text = patch.patched(servo, found([("grip.ceiling.limit", 15.0)]), True)
+    text = patch.patched(servo, found([("grip.ceiling.limit", 15.0, "")]), True)
     gap = viewed(write(tmp_path / "other.yaml", text), tmp_path).gap([{}])
     assert np.nanmax(np.abs(viewed(servo, tmp_path).gap([{}]))) > np.radians(4)
     assert np.nanmax(np.abs(gap)) < np.radians(1)
 
 
 def test_a_patch_is_patched_again(servo, tmp_path):
-    one = write(tmp_path / "one.yaml", patch.patched(servo, found([("grip.deadband.width", 2.0)]), True))
-    two = yaml.safe_load(patch.patched(one, found((), [("grip.gain.scale", 0.01)]), True))
+    one = write(tmp_path / "one.yaml", patch.patched(servo, found([("grip.deadband.width", 2.0, "")]), True))
+    two = yaml.safe_load(patch.patched(one, found((), [("grip.gain.scale", 0.01, "")]), True))
     assert two["effects"] == {"grip.deadband": {"width": 2.0}, "grip.gain": {"scale": 0.01}}
 
 
 def test_without_findings_there_is_no_patch(servo):
     assert patch.patched(servo, found(), True) is None
-    assert patch.patched(servo, found((), [("grip.gain.scale", 0.01)]), False) is None
+    assert patch.patched(servo, found((), [("grip.gain.scale", 0.01, "")]), False) is None
 
 
 @pytest.mark.parametrize("inertia", ["inertia_kg_m2", "inertia_joint_kg_m2"])
@@ -132,7 +111,8 @@ def test_the_masses_of_a_chain_are_calibrated_in_its_model(inertia, tmp_path):
         "trials": [{"files": "swing.csv"}],
     }
     path = write(tmp_path / "stage.yaml", yaml.safe_dump(stage))
-    text = patch.patched(path, found((), [("arm.mass1", 0.02), ("arm.inertia1", -0.01), ("arm.mass2", 0.01)]), True)
+    changes = [("arm.mass1", 0.02, ""), ("arm.inertia1", -0.01, ""), ("arm.mass2", 0.01, "")]
+    text = patch.patched(path, found((), changes), True)
     chain = viewed(write(tmp_path / "other.yaml", text), tmp_path)._chain
     wanted = viewed(path, tmp_path)._chain.reweighed(np.array([0.02, 0.01]), np.array([-0.01, 0.0]))
     for name in ("moment", "inertia", "own", "mass"):

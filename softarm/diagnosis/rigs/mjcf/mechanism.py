@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +28,17 @@ class Actuator:
     """
 
     name: str
-    scale: float
-    offset: float
-    kp: float
-    kd: float
-    low: float  # -inf without a limit
-    high: float
-    command_low: float
-    command_high: float
-    lag_s: float
-    delay_s: float
+    scale: float = 1.0
+    offset: float = 0.0
+    kp: float = 0.0
+    kd: float = 0.0
+    low: float = -np.inf  # without a limit
+    high: float = np.inf
+    command_low: float = -np.inf
+    command_high: float = np.inf
+    lag_s: float = 0.0
+    delay_s: float = 0.0
+    gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +96,11 @@ class Mechanism:
 
     def joint(self, name: str) -> Joint:
         """Return a joint; raise TrialError with the known names if there is none."""
+        if "." in name:
+            raise TrialError(
+                f"{self.path}: joint {name}: its name holds a dot, which separates the parts of an effect's name; "
+                "rename the joint in the model and the column"
+            )
         if name not in self.joints:
             near = did_you_mean(name, self.joints)
             raise TrialError(
@@ -250,6 +256,7 @@ class Mechanism:
             command_high=float(ctrl[1]),
             lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_NONE) else 0.0,
             delay_s=0.0 if delay is None else float(delay[i]),
+            gear=gear,
         )
 
     def _refuse_nonlinear(self, i: int) -> None:
@@ -273,9 +280,13 @@ class Mechanism:
             )
 
 
-@cache
 def mechanism(path: Path) -> Mechanism:
-    """Return the mechanism of a model file, loaded once."""
+    """Return the mechanism of a model file, loaded again only after a change of the file."""
+    return _mechanism(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@lru_cache(maxsize=8)
+def _mechanism(path: Path, changed_ns: int) -> Mechanism:
     return Mechanism(path)
 
 

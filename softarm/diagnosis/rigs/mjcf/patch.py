@@ -80,7 +80,8 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     if actuator is None:
         return False
     if parameter == "ceiling.limit":
-        return edits.set(_ACTUATORS, actuator.name, "forcerange", f"{_short(-value)} {_short(value)}")
+        limit = value / abs(actuator.gear)  # of the actuator, before its gear
+        return edits.set(_ACTUATORS, actuator.name, "forcerange", f"{_short(-limit)} {_short(limit)}")
     if parameter == "lag.time":
         return edits.set(("position", "intvelocity", "cylinder"), actuator.name, "timeconst", _short(value))
     if parameter not in ("gain.scale", "position_gain.scale"):
@@ -88,10 +89,10 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     factor = 1 + found.get(f"{joint.name}.gain.scale", 0.0)
     stiff = factor * (1 + found.get(f"{joint.name}.position_gain.scale", 0.0))
     if edits.kind(_ACTUATORS, actuator.name) == "position":
-        edits.set(("position",), actuator.name, "kp", _short(stiff * actuator.kp))
-        return edits.set(("position",), actuator.name, "kv", _short(factor * actuator.kd))
+        edits.set(("position",), actuator.name, "kp", _short(stiff * actuator.kp / actuator.gear**2))
+        return edits.set(("position",), actuator.name, "kv", _short(factor * actuator.kd / actuator.gear**2))
     if edits.kind(_ACTUATORS, actuator.name) == "motor":
-        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.scale))
+        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.gear))
     return False
 
 

@@ -9,16 +9,19 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Series, Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
 from softarm.diagnosis.rigs.motion import (
     Motion,
+    directions,
     motion,
     motions,
+    period,
     summed_twice,
+    time_uncertainty,
     window_edges,
     window_lengths,
     within_windows,
@@ -36,12 +39,12 @@ STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 NUDGED = 0.05
 # Share of the samples that may be left out because the other joints move too fast between samples.
 UNSURE_MOST = 0.5
+# Share from which a warning says so.
+UNSURE_WARNED = 0.1
 # Margin to a joint's limit or a contact within which samples are left out, s.
 MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
 OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
-# Uncertainty of times, as a share of the time between two commands.
-TIMED = 0.05
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
 # Shares of the largest speed that bound the regimes.
 SLOW, STILL = 0.15, 0.01
@@ -83,25 +86,27 @@ class JointView(RigView):
         self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
         self._windows = [self._starts(k, seen[k]) for k in range(len(trials))]
         self._free = [self._freed(k) for k in range(len(trials))]
-        self._unsure_share = self._without_unsure()
+        self._unsure = self._without_unsure()
 
     def _without_unsure(self) -> float:
         """Take out samples that depend on motion of the other joints between samples, and return their share.
 
-        Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed.
+        Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed. If the
+        majority does, all are kept.
         """
-        at = {path: self.value({}, path) for path in self._known}
-        law, drives = self._law(at), self._driven(at)
+        smooth = []
+        for around in self._around:
+            others = {n: (*m[:2], _smooth(m[2])) for n, m in around.items() if n != self._joint.name}
+            smooth.append(self._mechanism.terms(self._joint, {**around, **others}))
+        law, drives, paths = self._prepared({})
         unsure = []
-        for k, windows in enumerate(self._windows):
-            around = {n: m if n == self._joint.name else (*m[:2], _smooth(m[2])) for n, m in self._around[k].items()}
-            smooth = self._mechanism.terms(self._joint, around)
-            moved = self._left(k, windows, at, law, drives[k], smooth) - self._left(k, windows, at, law, drives[k])
+        for k, (windows, path) in enumerate(zip(self._windows, self._prepared({}, smooth)[2], strict=True)):
+            moved = self._left(k, windows, path, law, drives[k]) - self._left(k, windows, paths[k], law, drives[k])
             self._free_starts(k, moved)
             unsure.append(_widened(np.abs(moved) > self.floor[0], self._motions[k].grid.step_s))
         every = np.concatenate(unsure)
         if every.mean() > UNSURE_MOST:
-            return 0.0
+            return float(every.mean())
         self.measured[every] = np.nan
         for windows, out in zip(self._windows, unsure, strict=True):
             windows.seen[out] = np.nan
@@ -121,11 +126,8 @@ class JointView(RigView):
     def _drive(self, trials: Sequence[Trial]) -> tuple[tuple[str, str] | None, Actuator | None]:
         """Return channel and column that drive the joint, and its actuator; a measured torque replaces it."""
         joint, actuator = self._joint, self._joint.actuator
-        if all(joint.name in t.channels["torque"].columns for t in trials if "torque" in t.channels) and all(
-            "torque" in t.channels for t in trials
-        ):
-            far = np.inf
-            return ("torque", joint.name), Actuator(joint.name, 1.0, 0.0, 0.0, 0.0, -far, far, -far, far, 0.0, 0.0)
+        if all("torque" in t.channels and joint.name in t.channels["torque"].columns for t in trials):
+            return ("torque", joint.name), Actuator(joint.name)
         if actuator is None:
             return None, None
         lacking = [
@@ -174,9 +176,8 @@ class JointView(RigView):
 
     def _sent(self, k: int) -> Array:
         """Return a trial's command at its samples, [T]."""
-        m, (stamps, summed) = self._motions[k], self._inputs[k]
-        edges = np.concatenate((m.grid.t_s - 0.5 * m.grid.step_s, [m.grid.t_s[-1] + 0.5 * m.grid.step_s]))
-        return np.asarray(np.diff(np.interp(edges, stamps, summed)) / m.grid.step_s)
+        g = self._motions[k].grid
+        return held_means(self._inputs[k], g.t_s[0] - 0.5 * g.step_s, g.step_s, len(g.t_s))
 
     def _commands(self, trials: Sequence[Trial]) -> list[tuple[Array, Array]]:
         """Return stamps and integral of every trial's command within the actuator's range; empty without a drive."""
@@ -215,13 +216,9 @@ class JointView(RigView):
             travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
             resolution=max(step, *(m.noise for m in found)),
             step_s=float(np.median([m.grid.step_s for m in found])),
-            period_s=_period(found),
+            period_s=period(found),
             command_rate=self._command_rate(),
         )
-
-    def _command_step(self) -> float:
-        """Return the usual time between two commands, s."""
-        return max(float(np.median(np.diff(t))) for t, _ in self._inputs)
 
     def _command_rate(self) -> float:
         if not self._inputs:
@@ -246,8 +243,8 @@ class JointView(RigView):
     def tolerances(self) -> Mapping[str, float]:
         """Errors that a good nominal model may have, by 'effect.parameter'."""
         s = self._scales
-        own = {path: OF_OWN * self.nominal(path) for path in ("armature.inertia", "spring.stiffness")}
-        own |= {
+        own = {
+            "spring.stiffness": OF_OWN * self._joint.spring,
             "coulomb_friction.torque": max(OF_OWN * self._joint.dry, OF_FORCE * s.usual),
             "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
@@ -257,16 +254,26 @@ class JointView(RigView):
             "position_gain.scale": OF_OWN,
         }
         if self._inputs:
-            own["dead_time.delay"] = HELD_LATE * self._command_step()
+            own["dead_time.delay"] = HELD_LATE * usual_step(self._inputs)
             own["torque_offset.torque"] = OF_FORCE * s.usual
             own["command_bias.bias"] = ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel
         return own
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warning about samples that depend on motion of the other joints between samples."""
+        if self._unsure <= UNSURE_WARNED:
+            return ()
+        done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
+        return (
+            f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples and "
+            f"are {done}; record at a higher rate, or move fewer joints at once",
+        )
+
+    @property
     def model_uncertainty(self) -> Mapping[str, float]:
-        """Uncertainty of times, which steps of command and simulation round: 'effect.parameter' -> half-width."""
-        own = TIMED * self._command_step() if self._inputs else 0.0
-        return dict.fromkeys(("dead_time.delay", "latency.delay", "lag.time"), own)
+        """Uncertainty of times: 'effect.parameter' -> half-width."""
+        return time_uncertainty(usual_step(self._inputs)) if self._inputs else {}
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
@@ -299,28 +306,26 @@ class JointView(RigView):
 
     def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
         """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
-        at = {path: self.value(point, path) for path in self._known}
-        law, parts = self._law(at), []
-        drives = self._driven(at)
+        law, drives, paths = self._prepared(point, other)
+        parts = []
         for k, windows in enumerate(self._windows):
-            left = self._left(k, windows, at, law, drives[k], None if other is None else other[k])
+            left = self._left(k, windows, paths[k], law, drives[k])
             self._free_starts(k, left)
             parts.append(left)
         return np.concatenate(parts)[:, None]
 
-    def _left(
-        self,
-        k: int,
-        windows: laws.Windows,
-        at: Mapping[str, float],
-        law: Array,
-        drive: Array,
-        other: Array | None = None,
-    ) -> Array:
-        """Return measured minus predicted values of a trial from the windows' starts, [T]; other: terms to use."""
-        base, heavier, loaded = self._terms[k]
-        base = base if other is None else other
-        path = base + at.get("mass.scale", 0.0) * heavier + at.get("payload.mass", 0.0) * loaded
+    def _prepared(self, point: Point, other: Sequence[Array] | None = None) -> tuple[Array, list[Array], list[Array]]:
+        """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""
+        at = {path: self.value(point, path) for path in self._known}
+        share, mass = at.get("mass.scale", 0.0), at.get("payload.mass", 0.0)
+        paths = [
+            (base if other is None else other[k]) + share * heavier + mass * loaded
+            for k, (base, heavier, loaded) in enumerate(self._terms)
+        ]
+        return self._law(at), self._driven(at), paths
+
+    def _left(self, k: int, windows: laws.Windows, path: Array, law: Array, drive: Array) -> Array:
+        """Return measured minus predicted values of a trial from the windows' starts, [T]; path: rigid-body terms."""
         out = np.empty(len(windows.seen))
         laws.residuals(windows, drive, path, law, self._motions[k].grid.step_s, self._each, out)
         return out
@@ -330,12 +335,12 @@ class JointView(RigView):
 
         The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
         """
-        at = {path: self.value({}, path) for path in self._known}
-        law, drive, windows = self._law(at), self._driven(at)[k], self._windows[k]
-        base, spread, changed = self._left(k, windows, at, law, drive), self._motions[k].spread, []
+        law, drives, paths = self._prepared({})
+        windows, path, drive = self._windows[k], paths[k], drives[k]
+        base, spread, changed = self._left(k, windows, path, law, drive), self._motions[k].spread, []
         for d in range(2):
             moved = windows._replace(starts=windows.starts + NUDGED * spread[d] * np.eye(2)[d])
-            changed.append((self._left(k, moved, at, law, drive) - base) / NUDGED)
+            changed.append((self._left(k, moved, path, law, drive) - base) / NUDGED)
         both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
         solve = np.empty_like(both)
         for a, b in pairwise(windows.edges):
@@ -383,11 +388,9 @@ class JointView(RigView):
             if len(self._drives) > 64:
                 self._drives.clear()
             found = []
-            for m, (t, summed) in zip(self._motions, self._inputs, strict=True):
-                h = m.grid.step_s / self._each
-                late = key[0] + key[1]
-                edges = m.grid.t_s[0] - late + h * np.arange(len(m.seen) * self._each + 1)
-                held = np.diff(np.interp(edges, t, summed)) / h
+            for m, integral in zip(self._motions, self._inputs, strict=True):
+                h, start_s = m.grid.step_s / self._each, m.grid.t_s[0] - (key[0] + key[1])
+                held = held_means(integral, start_s, h, len(m.seen) * self._each)
                 out = np.empty_like(held)
                 laws.follow(held, at.get("rate_limit.rate", np.inf), key[2], h, out)
                 command = actuator.scale * (out + key[4]) + actuator.offset
@@ -404,10 +407,9 @@ class JointView(RigView):
     def _starts(self, k: int, seen: Array) -> laws.Windows:
         m, edges = self._motions[k], self._edges[k]
         first = edges[:-1]
-        direction = np.where(np.abs(m.speed) > SLOW * 0.3 * self._scales.speed, np.sign(m.speed), 0.0)
-        last = np.maximum.accumulate(np.where(direction != 0.0, np.arange(len(direction)), 0))
+        _, sides = directions(m, edges, SLOW * 0.3 * self._scales.speed)
         starts = np.ascontiguousarray(np.stack((m.position[first], m.speed[first]), axis=1))
-        return laws.Windows(seen, edges, starts, direction[last[first]])
+        return laws.Windows(seen, edges, starts, sides)
 
     def _signals(self, k: int) -> dict[str, Array]:
         """Features for a flexible model of the residual."""
@@ -467,12 +469,3 @@ def _acceleration(trials: Sequence[Trial], column: str, step: float) -> float:
     if not largest > 0:
         raise TrialError(f"{trials[0].source}: {column} does not move in any trial; leave its column out")
     return largest
-
-
-def _period(found: Sequence[Motion]) -> float:
-    """Period of a sine with the same travel and speed, s."""
-    periods = []
-    for m in found:
-        swing = float(np.std(m.position)) / max(float(np.sqrt(np.mean(m.speed**2))), 1e-12)
-        periods.append(min(2 * np.pi * swing, float(m.grid.t_s[-1] - m.grid.t_s[0])))
-    return max(float(np.median(periods)), 20 * found[0].grid.step_s)

@@ -91,3 +91,7 @@ def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     result = CliRunner().invoke(main, ["diagnose", str(stage), "--patch", str(tmp_path / "x.xml")])
     assert result.exit_code == 2
     assert "is for a stage of kind mujoco" in result.output
+    assert "reading" not in result.output  # refused before the work
+    result = CliRunner().invoke(main, ["diagnose", str(stage), str(stage), "--patch", str(tmp_path / "x.xml")])
+    assert result.exit_code == 2
+    assert "for one stage.yaml of kind mujoco" in result.output

@@ -110,3 +110,5 @@ def test_a_missing_file_and_an_unknown_joint_name_the_next_step(arm, tmp_path):
         Mechanism(tmp_path / "none.xml")
     with pytest.raises(TrialError, match="did you mean elbow"):
         arm.joint("elbw")
+    with pytest.raises(TrialError, match="its name holds a dot"):
+        arm.joint("left.elbow")

@@ -5,31 +5,9 @@ import pytest
 
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.reality.mechanisms.robots import ROBOTS
-from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from tests.diagnosis.verdicts import with_parameters as verdict
 
 ARM = ROBOTS["arm"].model
-SHARE = Shrink(stage=Interval(value=0.5, low=0.4, high=0.6))
-
-
-def verdict(effects=(), calibration=()):
-    """Return a verdict with parameters, each as (path, value, unit)."""
-    named = {}
-    for path, value, unit in effects:
-        name, _, parameter = path.rpartition(".")
-        named.setdefault(name, {})[parameter] = Estimate(value=value, low=value, high=value, unit=unit)
-    return Verdict(
-        verdict="named",
-        where=Where(stage=None, share={}, regime=""),
-        effects=tuple(NamedEffect(name=name, parameters=of, shrink=SHARE) for name, of in named.items()),
-        calibration=tuple(
-            CalibratedParameter(
-                name=path, nominal=value, value=value, low=value, high=value, unit=unit,
-                tolerance_low=value, tolerance_high=value, at_edge=False, shrink=0.1,
-            )
-            for path, value, unit in calibration
-        ),
-        gap=Gap(before={}, after={}, floor={}, ceiling={}),
-    )  # fmt: skip
 
 
 def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(tmp_path):
@@ -57,6 +35,21 @@ def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(t
     assert model.actuator("shoulder_servo").gainprm[0] == pytest.approx(30)
     assert model.actuator("shoulder_servo").biasprm[1] == pytest.approx(-30)
     assert model.actuator("elbow_servo").forcerange.tolist() == [-2.5, 2.5]
+
+
+def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path):
+    file = tmp_path / "geared.xml"
+    servo = '<position name="elbow_servo" joint="elbow"'
+    file.write_text(ARM.read_text().replace(f"{servo}/>", f'{servo} gear="2"/>'))
+    found = patch.patched(
+        file,
+        verdict([("elbow.position_gain.scale", -0.5, "-"), ("elbow.ceiling.limit", 5.0, "N m")]),
+        calibration=True,
+    )
+    file.write_text(found.text)
+    actuator = mujoco.MjModel.from_xml_path(str(file)).actuator("elbow_servo")
+    assert actuator.gainprm[0] == pytest.approx(20)
+    assert actuator.forcerange.tolist() == [-2.5, 2.5]
 
 
 def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
