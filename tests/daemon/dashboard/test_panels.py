@@ -124,6 +124,23 @@ def test_a_reload_of_the_list_leaves_unchanged_rows_in_the_page(page, flight):
     assert row.evaluate("(row) => row.kept")
 
 
+ROWS = """
+async () => {
+  const { el, update } = await import("/dashboard/view/dom.js");
+  const list = (...names) => el("ul", {}, names.map((name) => el("li", {}, name)));
+  const place = el("div", {}, list("flight", "recording", "old"));
+  const [flight, recording, old] = place.firstElementChild.children;
+  update(place, [list("newer", "recording", "flight")]);
+  const now = [...place.firstElementChild.children];
+  return [now.map((row) => row.textContent), now[1] === recording, now[2] === flight, old.isConnected];
+}
+"""
+
+
+def test_rows_that_change_places_stay_in_the_page(page):
+    assert page.evaluate(ROWS) == [["newer", "recording", "flight"], True, True, False]
+
+
 def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
     panel = tab(page, "logs")
     row = panel.locator("li", has_text=daemon.recorder.path.name)

@@ -29,31 +29,24 @@ export function render(node, key, make) {
   node.replaceChildren(...[make()].flat().filter(Boolean));
 }
 
-// Replace the children that differ and keep the equal ones, also behind new ones. A click on an element that is replaced
+// Replace the children that differ and keep the equal ones, wherever they stand now. A click on an element that is replaced
 // while the button is down is lost.
 export function update(node, children) {
+  const unused = [...node.children];
+  const kept = children.map((child) => {
+    const index = unused.findIndex((old) => alike(old, child));
+    return index < 0 ? child : unused.splice(index, 1)[0];
+  });
+  for (const old of unused) old.remove();
   let next = node.firstElementChild; // the first old child that is not yet placed
-  for (const child of children) {
-    let old = next;
-    while (old && !alike(old, child)) old = old.nextElementSibling;
-    if (!old) {
-      node.insertBefore(child, next);
-      continue;
-    }
-    if (old.tagName === "UL") update(old, [...child.children]);
-    while (next !== old) next = removed(next);
-    next = old.nextElementSibling;
-  }
-  while (next) next = removed(next);
+  kept.forEach((child, k) => {
+    if (child === next) next = next.nextElementSibling;
+    else node.insertBefore(child, next);
+    if (child !== children[k] && child.tagName === "UL") update(child, [...children[k].children]);
+  });
 }
 
 const alike = (old, child) => (old.tagName === "UL" && child.tagName === "UL") || old.isEqualNode(child);
-
-function removed(node) {
-  const next = node.nextElementSibling;
-  node.remove();
-  return next;
-}
 
 export const finite = (value) => typeof value === "number" && Number.isFinite(value);
 
