@@ -12,7 +12,7 @@ from softarm.daemon.access.sockets import ApiError, listen
 from softarm.daemon.api import bounds
 from softarm.schemas.config import Api
 
-START_S = 5.0
+START_S = 30.0
 
 
 class ApiServer:
