@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, Header, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
@@ -61,12 +61,33 @@ def messages(path: Path) -> Iterator[tuple[str, bytes]]:
     Raises:
         LogError: The file does not exist or is not MCAP.
     """
+    for topic, _, data in stamped_messages(path):
+        yield topic, data
+
+
+def stamped_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Yield topic, time of logging in ns since 1970 and data of every complete message, as `messages` does."""
     topics: dict[int, str] = {}
     for record in records(path):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message):
-            yield topics[record.channel_id], record.data
+            yield topics[record.channel_id], record.log_time, record.data
+
+
+def origin(path: Path) -> tuple[str, str]:
+    """Return the library that wrote a file, and the encoding of its first channel; empty if there is none.
+
+    Raises:
+        LogError: The file does not exist or is not MCAP.
+    """
+    library = ""
+    for record in records(path):
+        if isinstance(record, Header):
+            library = record.library
+        elif isinstance(record, Channel):
+            return library, record.message_encoding
+    return library, ""
 
 
 def is_finished(path: Path) -> bool:

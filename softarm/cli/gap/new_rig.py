@@ -55,8 +55,9 @@ def rig(
 ) -> None:
     """Describe the recordings of another rig in a stage.yaml, and check it.
 
-    DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat) or folders of them. Columns, units and rates that the
-    recordings show are written with their reason. The rest is asked for, or without a terminal taken from the options.
+    DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat), ROS bags (.mcap, .db3, .bag) or folders of them. Columns,
+    units and rates that the recordings show are written with their reason. The rest is asked for, or without a terminal
+    taken from the options.
     With an MJCF or URDF file (.xml, .urdf) among DATA, columns are found by the names of its joints and actuators.
 
     \b

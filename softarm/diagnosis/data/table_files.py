@@ -1,4 +1,4 @@
-"""Reading of table files: text with any delimiter, Parquet and .mat; columns by name or number."""
+"""Reading of table files: text with any delimiter, Parquet, .mat and ROS bags; columns by name or number."""
 
 import codecs
 import csv
@@ -17,11 +17,12 @@ import numpy as np
 
 from softarm.common.quantity import factor
 from softarm.common.words import did_you_mean
-from softarm.diagnosis.data import instants
+from softarm.diagnosis.data import bags, instants
 from softarm.diagnosis.data.trials import Array, TrialError
 from softarm.schemas.trial import Column, Marks, TableForm
 
 TEXT = (".csv", ".tsv", ".txt", ".dat")
+SUFFIXES = (*TEXT, ".parquet", ".mat", *bags.SUFFIXES)
 _DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,(?:[eE][-+]?\d+)?")
 # Source of stamps that count the rows of a table without a time column.
@@ -62,13 +63,17 @@ def load(path: Path, form: TableForm) -> Table:
             return Table(path, {name: table[name].to_numpy() for name in table.column_names}, form.missing)
         if suffix == ".mat":
             return Table(path, _matlab(path), form.missing)
+        if suffix in bags.SUFFIXES:
+            found = bags.columns(path)
+            _check_size(path, (), len(found))
+            return Table(path, found, (*form.missing, "nan"))
     except TrialError:
         raise
     except Exception as error:  # a damaged file may make its library raise anything
         said = " ".join(str(error).split())
         version = " in version 7 or older" if suffix == ".mat" else ""
         raise TrialError(f"{path}: cannot be read ({said}); export it again{version}") from None
-    raise TrialError(f"{path}: tables are {', '.join(TEXT)}, .parquet or .mat; export it as one of these")
+    raise TrialError(f"{path}: tables are {', '.join(SUFFIXES)}; export it as one of these")
 
 
 def column(table: Table, about: Column, segment: str | None, element: int | None) -> Array:

@@ -32,7 +32,7 @@ _ROLES: dict[Role, str] = {
     "measured": "meas measured measurement act actual ist istwert feedback fb state sensor encoder enc output y",
 }
 _QUANTITIES = {
-    "rad": "angle angles ang theta phi alpha beta winkel joint joints encoder enc q",
+    "rad": "angle angles ang theta phi alpha beta winkel encoder enc q",
     "m": "position positions pos displacement weg distance dist abstand x",
     "rad/s": "omega drehzahl gyro qd dq rpm",
     "m/s": "vel velocity velocities speed geschwindigkeit",
@@ -42,6 +42,9 @@ _QUANTITIES = {
     "A": "current strom amps amp",
     "V": "voltage volt volts spannung",
 }
+# Quantity of a joint without another word, and what a position or velocity of a joint is.
+_JOINT = {"joint", "joints"}
+_OF_JOINT = {"": "rad", "m": "rad", "m/s": "rad/s"}
 _BRACKETS = re.compile(r"(.*?)[\s_/]*[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*")
 _SLASH = re.compile(r"(.*?[^\s/])(?:\s*/\s*|\s+in\s+)([^\s/][^/]*(?:/\s*s(?:\^?2)?)?)\s*")
 _COMPOUND = re.compile(r"(soll|ist)(\w+)")
@@ -69,6 +72,8 @@ def read(text: str) -> Header:
     if unit is not None and factor(unit)[1] == "s":
         role = "time"
     quantity = next((of for of, known in _QUANTITIES.items() if words & set(known.split())), "")
+    if words & _JOINT:
+        quantity = _OF_JOINT.get(quantity, quantity)
     return Header(text, name, unit, role, factor(unit)[1] if unit is not None else quantity)
 
 

@@ -11,6 +11,7 @@ from softarm.diagnosis.describe.survey import Signal, Survey
 
 # Readings this much wider than the joint's range, or than two turns, are in degrees.
 WIDER, TURNS_RAD = 1.5, 13.0
+_RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +41,16 @@ def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], mode
     draft, found = Draft(survey, answers), dict[str, dict[str, Use]]()
     for joint in joints:
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
-        command = _first(draft, signals, "command", ("m/s", "rad/s"))
-        measured = _first(draft, signals, "", ("m/s", "rad/s", "N", "N m", "A"))
+        position_loop = joint.command_unit == joint.unit
+        command = _first(draft, signals, "command", (*_RATES, *_EFFORTS) if position_loop else _RATES)
+        measured = _first(draft, signals, "", (*_RATES, *_EFFORTS))
         if measured is None:
             continue
         driven = bool(joint.actuator) and command is not None
         channel = "measured" if driven or not joint.actuator else "base"
         found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.span)
         if joint.actuator and command is not None:
-            span = joint.span if joint.command_unit == joint.unit else float("inf")
+            span = joint.span if position_loop else float("inf")
             found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
         if channel == "base":
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from softarm.diagnosis.data import instants, table_files
+from softarm.diagnosis.data import bags, instants, table_files
 from softarm.diagnosis.data.stage_file import kind_of
 from softarm.diagnosis.data.still_checks import spread
 from softarm.diagnosis.data.trials import Array, TrialError
@@ -17,7 +17,6 @@ from softarm.diagnosis.describe import headers
 from softarm.diagnosis.describe.headers import Header
 from softarm.schemas.trial import TableForm
 
-SUFFIXES = (*table_files.TEXT, ".parquet", ".mat")
 ROWS_LEAST = 20
 # Lines above the header of a logger's file that are tried.
 SKIP_MAX = 20
@@ -143,16 +142,15 @@ def tables(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
         if (path / "trial.yaml").is_file():
             raise TrialError(f"{path}: a trial of the robot; `softarm diagnose` reads it without a stage file")
         if path.is_dir():
-            inside = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in SUFFIXES)
+            inside = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in table_files.SUFFIXES)
             if not inside:
-                raise TrialError(f"{path}: contains no table ({', '.join(SUFFIXES)}); name another folder")
+                raise TrialError(f"{path}: contains no table ({', '.join(table_files.SUFFIXES)}); name another folder")
             yield from ((each, False) for each in inside)
         elif not path.exists():
             raise TrialError(f"{path}: does not exist; name the files or folders of your recordings")
-        elif path.suffix.lower() not in SUFFIXES:
-            hint = "; `softarm diagnose` reads it without a stage file" if path.suffix == ".mcap" else ""
+        elif path.suffix.lower() not in table_files.SUFFIXES:
             raise TrialError(
-                f"{path}: no table; tables are {', '.join(SUFFIXES)}{hint or '; export it as one of these'}"
+                f"{path}: no table; tables are {', '.join(table_files.SUFFIXES)}; export it as one of these"
             )
         else:
             yield path, True
@@ -175,6 +173,8 @@ def _load(path: Path, form: TableForm) -> tuple[list[_File], TableForm]:
         raise first
     if path.suffix.lower() == ".mat":
         return list(_of_matlab(path, table.columns)), form
+    if path.suffix.lower() in bags.SUFFIXES:
+        return list(_of_bag(path, table.columns)), form
     texts = (cell for cells in table.columns.values() if isinstance(cells, list) for cell in cells[:ROWS_LEAST])
     if not table.comma and form.decimal is None and any(re.fullmatch(r"-?\d+,\d+", cell.strip()) for cell in texts):
         return _load(path, form.model_copy(update={"decimal": ","}))
@@ -183,6 +183,15 @@ def _load(path: Path, form: TableForm) -> tuple[list[_File], TableForm]:
         (name if named else int(name), None, name if named else ""): raw for name, raw in table.columns.items()
     }
     return [_File(path, columns, None, table.comma)], form
+
+
+def _of_bag(path: Path, columns: Mapping[str, Any]) -> Iterator[_File]:
+    """Yield the columns of each topic of a bag, which share a clock."""
+    topics: dict[str, dict[Key, Any]] = {}
+    for name, values in columns.items():
+        topics.setdefault(bags.topic_of(name, columns), {})[(name, None, name)] = values
+    for own in topics.values():
+        yield _File(path, own, None, False)
 
 
 def _of_matlab(path: Path, variables: Mapping[str, Any]) -> Iterator[_File]:

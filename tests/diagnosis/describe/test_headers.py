@@ -23,6 +23,10 @@ from softarm.diagnosis.describe import headers
         ("angleDeg", "deg", "", "rad"),
         ("timestamp", None, "time", ""),
         ("u", None, "command", ""),
+        ("/joint_states/pan/position", None, "", "rad"),
+        ("/joint_states/pan/effort", None, "", "N m"),
+        ("joint_velocity", None, "", "rad/s"),
+        ("joint1", None, "", "rad"),
         ("p_in", None, "", ""),  # an inlet, not inches
         ("temp_C", None, "", ""),
         ("kg_total", None, "", ""),

@@ -183,7 +183,6 @@ def test_dates_without_a_time_zone_are_not_local_times(tmp_path, monkeypatch):
     ("name", "says"),
     [
         ("nowhere", "nowhere: does not exist; name the files or folders of your recordings"),
-        ("flight.mcap", "flight.mcap: no table; tables are .*; `softarm diagnose` reads it without a stage file"),
         ("empty", "empty: contains no table"),
         ("robot", "robot: a trial of the robot; `softarm diagnose` reads it without a stage file"),
         ("words.csv", "words.csv: no file has two columns of numbers; name others"),
@@ -193,7 +192,6 @@ def test_what_is_no_recording_of_a_rig_is_refused(tmp_path, name, says):
     (tmp_path / "empty").mkdir()
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "trial.yaml").write_text("kind: chirp\n")
-    (tmp_path / "flight.mcap").write_bytes(b"")
     (tmp_path / "words.csv").write_text("a,b\n" + "x,y\n" * 30)
     with pytest.raises(TrialError, match=says):
         survey([tmp_path / name])
