@@ -41,9 +41,9 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
         verdict: its verdict.
         calibration: whether calibrated parameters are written as well.
     """
-    found = {each.name: _standard(each.value, each.unit) for each in verdict.calibration if calibration}
+    found = {each.name: standard(each.value, each.unit) for each in verdict.calibration if calibration}
     for effect in verdict.effects:
-        found |= {f"{effect.name}.{name}": _standard(of.value, of.unit) for name, of in effect.parameters.items()}
+        found |= {f"{effect.name}.{name}": standard(of.value, of.unit) for name, of in effect.parameters.items()}
     if not found:
         return None
     before = path.read_text()
@@ -170,7 +170,7 @@ def _attribute(tag: str, name: str) -> re.Match[str] | None:
     return re.search(rf"""(\s{name}\s*=\s*)(["'])(.*?)\2""", tag, re.DOTALL)
 
 
-def _standard(value: float, unit: str) -> float:
+def standard(value: float, unit: str) -> float:
     """Return a value in standard units; units that only a verdict has are standard already."""
     try:
         return value * factor(unit)[0]

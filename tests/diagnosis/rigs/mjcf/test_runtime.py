@@ -1,0 +1,111 @@
+"""Effects at run time: MuJoCo with them moves as the law that the diagnosis has fitted."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
+from softarm.reality.mechanisms.robots import ROBOTS
+from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, travelled
+from tests.diagnosis.verdicts import effect, verdict
+
+STEPS = 3000
+COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(STEPS)))
+
+
+def written(folder, model_text, *effects):
+    """Write a model and a verdict, and return their paths."""
+    model, file = folder / "servo.xml", folder / "verdict.json"
+    model.write_text(model_text)
+    file.write_text(verdict("named", *effects).model_dump_json())
+    return file, model
+
+
+def exact(name, unit="-", **sizes):
+    return effect(name, **{key: (value, value, value, unit) for key, value in sizes.items()})
+
+
+def flown(effects, path):
+    """Return true positions, speeds and readings before every step, [STEPS] each."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    simulation = Simulation(effects, model, data)
+    rows = []
+    for command in COMMAND:
+        rows.append((data.qpos[0], data.qvel[0], simulation.readings[0]))
+        simulation.step(np.array([command]))
+    return np.array(rows).T
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "same"),
+    [
+        ("deadband", {"width": 0.08}, {"WIDTH": 0.08}),
+        ("torque_offset", {"torque": 0.3}, {"OFFSET": 0.3}),
+        ("drag", {"coefficient": 0.05}, {"DRAG": 0.05}),
+        ("stiction", {"torque": 0.3, "speed": 0.3}, {"STICTION": 0.3, "SPEED": 0.3}),
+        ("load_friction", {"share": 0.1}, {"LOADED": 0.1}),
+        ("backlash", {"gap": 0.05}, {"GAP": 0.05}),
+        ("sensor_bias", {"bias": 0.1}, {"BIAS": 0.1}),
+    ],
+)
+def test_mujoco_moves_as_the_fitted_law(tmp_path, name, sizes, same):
+    file, model = written(
+        tmp_path, SERVO.format(damping=0.05, dry=0.02, kp=20, limit=10), exact(f"elbow.{name}", **sizes)
+    )
+    true, speed, seen = flown(RuntimeEffects.read(file, model), model)
+    joint = Mechanism(model).joint("elbow")
+    actuator = joint.actuator
+    known = {"KP": actuator.kp, "KD": actuator.kd, "LOW": actuator.low, "HIGH": actuator.high}
+    known |= {"VISCOUS": joint.viscous, "DRY": joint.dry}
+    path = Mechanism(model).terms(joint, {"elbow": (true, speed, np.zeros(STEPS))})
+    drive = actuator.scale * COMMAND
+    expected = travelled(law(**known, **same), drive, path, start=(seen[0], 0.0))
+    without = travelled(law(**known), drive, path)
+    assert np.abs(seen - expected).max() < 0.1 * np.abs(expected - without).max()
+
+
+def test_commands_and_readings_are_late_by_the_delays(tmp_path):
+    text = SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10)
+    _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, text)), tmp_path / "servo.xml")
+    late = exact("elbow.dead_time", "ms", delay=40.0), exact("elbow.latency", "ms", delay=12.5)
+    _, _, seen = flown(RuntimeEffects.read(*written(tmp_path, text, *late)), tmp_path / "servo.xml")
+    at = np.arange(STEPS)
+    assert seen[60:] == pytest.approx(np.interp(at - 52.5, at, plain)[60:], abs=1e-9)
+
+
+def test_a_command_changes_no_faster_than_its_limit(tmp_path):
+    slow = exact("elbow.rate_limit", "rad/s", rate=0.5)
+    effects = RuntimeEffects.read(*written(tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), slow))
+    state, sent = effects.start(np.zeros(1), np.zeros(1)), []
+    for _ in range(100):
+        state, applied = effects.apply(state, np.ones(1), (np.zeros(1), np.zeros(1), np.zeros(1)))
+        sent.append(applied.ctrl[0])
+    assert np.diff(sent) == pytest.approx(0.5 * H)
+
+
+def test_a_batch_of_robots_is_drawn_within_the_intervals(tmp_path):
+    found = effect("elbow.deadband", width=(0.05, 0.04, 0.06, "rad")), effect("elbow.latency", delay=(9, 6, 12, "ms"))
+    effects = RuntimeEffects.read(*written(tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), *found))
+    many = effects.drawn(np.random.default_rng(3), 500)
+    width = many.parameters.deadband
+    assert width.shape == (500, 1)
+    assert 0.04 <= width.min() < 0.042
+    assert 0.058 < width.max() <= 0.06
+    state = many.start(np.zeros((500, 1)), np.zeros((500, 1)))
+    motion = (np.zeros((500, 1)),) * 3
+    _, applied = many.apply(state, np.full((500, 1), 0.05), motion)
+    assert applied.ctrl == pytest.approx(np.maximum(0.05 - width, 0.0))
+    for k in range(20):
+        state, seen = many.measure(state, np.full((500, 1), k * 1.0))
+    assert seen == pytest.approx(19 - many.parameters.latency_s / H)
+
+
+def test_a_verdict_of_another_robot_is_refused(tmp_path):
+    file, _ = written(
+        tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), exact("elbow.deadband", width=0.1)
+    )
+    with pytest.raises(TrialError, match="no hinge or slide joint elbow"):
+        RuntimeEffects.read(file, ROBOTS["camera"].model)
