@@ -3,19 +3,20 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from softarm.cli.shared.errors import fail, writing
 from softarm.cli.shared.options import FILE, FOLDER
+from softarm.cli.shared.printing import waiting
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.daemon.logbook.logs import TickLog
     from softarm.recordings.tables import Form
 
-FORMS = ("csv", "parquet", "foxglove")
+FORMS = ("csv", "parquet", "foxglove", "lerobot")
 LAYOUT = "softarm-layout.json"
 
 
@@ -39,14 +40,21 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
     foxglove: a file for each log in wall-clock time, with a 3D scene, a journal and values to plot, and a layout to
     import into Foxglove (LAYOUT, import from file).
 
+    lerobot: one dataset (format 3.0) of all logs, with an episode for each reach goal: the policy's inputs as
+    observation.state, its actions, and next.success.
+
     \b
     Examples:
       softarm logs export --to csv logs/softarm-20260101T120000Z.mcap
       softarm logs export --to foxglove logs/softarm-20260101T120000Z.mcap
       softarm logs export --to parquet --out flights logs/*.mcap
+      softarm logs export --to lerobot --out reach-dataset logs/*.mcap
     """
     from softarm.daemon.logbook import logs
 
+    if to == "lerobot":
+        _lerobot(files, out)
+        return
     for file in files:
         try:
             with writing("choose another --out"):
@@ -57,7 +65,26 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
                 else:
                     click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
         except ModuleNotFoundError as error:
-            fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
+            _fail_without(error, to)
+
+
+def _fail_without(error: ModuleNotFoundError, to: str) -> NoReturn:
+    fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
+
+
+def _lerobot(logs: tuple[Path, ...], out: Path) -> None:
+    """Write one dataset of all logs."""
+    from softarm.recordings import lerobot
+
+    try:
+        with writing("choose another --out"), waiting("reading the logs"):
+            made = lerobot.write(out, (episode for log in logs for episode in lerobot.episodes(log)))
+    except ValueError as error:
+        fail(str(error))
+    except ModuleNotFoundError as error:
+        _fail_without(error, "lerobot")
+    left_out = f"; {made.left_out} incomplete goals left out" if made.left_out else ""
+    click.echo(f"wrote {out}: {made.episodes} episodes ({made.reached} reached), {made.frames} frames{left_out}")
 
 
 def _tables(log: "TickLog", folder: Path, form: "Form") -> str:

@@ -32,6 +32,12 @@ def test_a_log_is_exported_as_a_trial_folder(form, tmp_path):
     }
 
 
+def test_logs_become_one_dataset_for_lerobot(tmp_path):
+    result = export("--to", "lerobot", "--out", tmp_path / "out", FLIGHT, FLIGHT)
+    assert result.stdout == f"wrote {tmp_path}/out: 12 episodes (4 reached), 324 frames\n"
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"data", "meta"}
+
+
 def test_an_export_for_foxglove_includes_its_layout(tmp_path):
     result = export("--to", "foxglove", "--out", tmp_path / "out", FLIGHT)
     assert result.exit_code == 0

@@ -50,7 +50,7 @@ class Parameters(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the effects remember from step to step."""
+    """Memory of the effects between steps."""
 
     sent: Any  # [..., D, J] last commands, newest first
     limited: Any  # [..., J] command behind the rate limit
