@@ -1,7 +1,5 @@
 """The shipped files are what the presets train, and they fly."""
 
-from dataclasses import replace
-
 import numpy as np
 import onnxruntime
 import pytest
@@ -12,7 +10,6 @@ from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.training.learn.validation import fly_actions, validation_scenarios
 from softarm.training.run.recipe import PRESETS
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import environment_of
 
 pytestmark = pytest.mark.slow
 
@@ -33,9 +30,8 @@ def reached_in_range(
         action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
         return action
 
-    environment = environment_of(replace(task, action_noise=0.0), count, 0, model)
     # The first two thirds lie in the range.
-    return float(fly_actions(act, environment, trials).reached[: count * 2 // 3].mean())
+    return float(fly_actions(act, task, trials, model=model).reached[: count * 2 // 3].mean())
 
 
 @pytest.mark.parametrize(

@@ -144,14 +144,21 @@ def fly(
     randomisation: Randomisation | None = None,
 ) -> Flown:
     """Fly every scenario once with the policy's mean action, without action noise."""
+    act = actor(network, len(scenarios.target_m), pool, dtype)
+    return fly_actions(act, task, scenarios, physics_rate_hz, model, randomisation)
+
+
+def fly_actions(
+    act: Callable[[Array], Array],
+    task: ReachTask,
+    scenarios: Scenarios,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+    model: Model | None = None,
+    randomisation: Randomisation | None = None,
+) -> Flown:
+    """Fly every scenario once, without action noise; `act` maps observations [R, N] to actions [R, 2] in -1..1."""
     count = len(scenarios.target_m)
     environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
-    return fly_actions(actor(network, count, pool, dtype), environment, scenarios)
-
-
-def fly_actions(act: Callable[[Array], Array], environment: Environment, scenarios: Scenarios) -> Flown:
-    """Fly every scenario once with a function from observations [R, N] to actions [R, 2] in -1..1."""
-    task, count = environment.task, len(scenarios.target_m)
     first = len(Observation._fields)  # the goal follows the observation
     observation = scenarios.begin(environment)
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)

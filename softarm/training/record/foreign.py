@@ -4,8 +4,6 @@ The network is feed-forward, in torch, with the observations of `softarm.trainin
 -1..1. Like a file of `softarm train`, the file has metadata, a golden run and the success in the validation set.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +13,11 @@ from onnx import ModelProto
 from torch import nn
 
 from softarm.schemas.model import Model
-from softarm.schemas.policy import ACTION
+from softarm.schemas.policy import ACTION, OBSERVATION
 from softarm.training.learn import validation
 from softarm.training.record.export import Graph, described, finished, golden_run, write_model
 from softarm.training.record.settings import Settings, flat
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import environment_of
 
 Array = NDArray[np.float32]
 STATE = 1  # unused; the file format needs a recurrent state
@@ -49,7 +46,7 @@ def export(
     file. Raises ForeignNetworkError for layers other than Linear, Tanh, ReLU, ELU, Sigmoid, or for wrong sizes.
     """
     task = task or ReachTask()
-    inputs = environment_of(task, 1, 0).inputs
+    inputs = len(OBSERVATION) + len(task.goal)
     shift, width = (np.broadcast_to(np.asarray(each, dtype=np.float32), inputs).copy() for each in (mean, scale))
     model = _graph(layers, inputs, shift, width, cut)
 
@@ -59,7 +56,8 @@ def export(
             action: Array = layers.cpu()(inside).clamp(-1.0, 1.0).numpy()
         return action
 
-    share = _validated(act, task)
+    trials = validation.validation_scenarios(task, Model().arm.links, VALIDATION_TRIALS)
+    share = float(validation.fly_actions(act, task, trials).reached.mean())
     settings: Settings = flat(task=task) | {"run.validation_set": validation.chosen_by(task)} | (training or {})
     write_model(model, described(task, STATE, settings, seed, share, golden_run(act, task)), path)
     return share
@@ -85,10 +83,3 @@ def _graph(layers: nn.Sequential, inputs: int, mean: Array, scale: Array, cut: f
     graph.clip(x, 1.0, "action", "action")
     graph.pass_state()
     return finished(graph, inputs, STATE)
-
-
-def _validated(act: Callable[[Array], Array], task: ReachTask) -> float:
-    """Return the success in the validation set without action noise, as a share."""
-    scenarios = validation.validation_scenarios(task, Model().arm.links, VALIDATION_TRIALS)
-    environment = environment_of(replace(task, action_noise=0.0), len(scenarios.target_m), 0)
-    return float(validation.fly_actions(act, environment, scenarios).reached.mean())

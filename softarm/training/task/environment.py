@@ -56,7 +56,6 @@ def to_physical(action: Array) -> Array:
 class Environment:
     """Batch of robots at one task. Arrays are copies; one seeded generator draws all random numbers."""
 
-    inputs = INPUTS  # width of an observation
     restarts = True  # False: robots whose episode has ended stay as they are until `reset`
     _arrays: tuple[str, ...] = ("_target", "_elapsed", "_sent", "_pose", "_rates")  # of a snapshot
 
@@ -73,6 +72,7 @@ class Environment:
         self.task = task
         self.randomisation = randomisation or Randomisation()
         self.robots = robots
+        self.inputs = len(Observation._fields) + len(task.goal)  # width of an observation
         self._rng = np.random.default_rng(seed)
         self._drawn: Draw = self.randomisation.draw(np.random.default_rng((seed, _DIFFERENCES)), robots)
         self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz, overrides=self._drawn)

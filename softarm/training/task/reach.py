@@ -1,7 +1,7 @@
 """Reach task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ CLAMP_KEYS = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")  # of limit
 class ReachTask:
     """Swing the tip to a target in free space. The defaults are the seed's training range ([P] SM-E)."""
 
+    goal: ClassVar[tuple[Signal, ...]] = REACH_GOAL  # at the end of an observation
+    kind: ClassVar[TaskKind] = "reach"  # in a policy's file
+
     name: str = "reach"
     target_y_m: Range = (-0.4, 0.0)
     target_z_m: Range = (0.55, TRAINED_Z_MAX_M)
@@ -74,16 +77,6 @@ class ReachTask:
     def under(self, limits: RailLimits) -> Self:
         """Return the task with other rail limits."""
         return replace(self, **{f"rail_{key}": getattr(limits, key) for key in CLAMP_KEYS})
-
-    @property
-    def goal(self) -> tuple[Signal, ...]:
-        """Signals of the goal at the end of an observation."""
-        return REACH_GOAL
-
-    @property
-    def kind(self) -> TaskKind:
-        """Kind of the task in a policy's file."""
-        return "reach"
 
     def sample_targets(self, rng: np.random.Generator, count: int) -> Array:
         """Draw targets y, z in metres, float32 [count, 2], uniform over the range."""

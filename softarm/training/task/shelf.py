@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas import flights
 from softarm.schemas.model import Model
-from softarm.schemas.policy import OBSERVATION, SHELF_GOAL, Signal, TaskKind
+from softarm.schemas.policy import SHELF_GOAL
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.training.task.environment import Environment
 from softarm.training.task.randomisation import Randomisation
@@ -15,12 +15,13 @@ from softarm.training.task.reach import Range, ReachTask, Starts
 
 Array = NDArray[np.float32]
 
-INPUTS = len(OBSERVATION) + len(SHELF_GOAL)
-
 
 @dataclass(frozen=True)
 class ShelfTask(ReachTask):
     """Targets in a shelf with a new place in each episode; defaults: the seed's training range ([P] section 4.2)."""
+
+    goal = SHELF_GOAL
+    kind = "shelf"
 
     name: str = "shelf"
     target_y_m: Range = flights.SHELF_Y_M
@@ -28,16 +29,6 @@ class ShelfTask(ReachTask):
     target_depth_m: Range = flights.SHELF_DEPTH_M  # behind the shelf's front edge; negative: before it
     board_below_m: float = flights.BOARD_BELOW_M  # from the target down to the lower board's top [C]
     action_noise: float = 0.01  # [C]
-
-    @property
-    def goal(self) -> tuple[Signal, ...]:
-        """Signals of the goal at the end of an observation."""
-        return SHELF_GOAL
-
-    @property
-    def kind(self) -> TaskKind:
-        """Kind of the task in a policy's file."""
-        return "shelf"
 
     def sample_depths(self, rng: np.random.Generator, count: int) -> Array:
         """Draw depths in metres, float32 [count], uniform over the range."""
@@ -47,7 +38,6 @@ class ShelfTask(ReachTask):
 class ShelfEnvironment(Environment):
     """Batch of robots with a shelf each; the observation [R, 11] ends with the target's depth."""
 
-    inputs = INPUTS
     _arrays = (*Environment._arrays, "_depth")
     task: ShelfTask
 
