@@ -58,8 +58,7 @@ def library(rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.
     knots = random_knots(count, rng)
     commands = np.einsum("tk,lkc->tlc", interpolation(problem.STEPS_MAX), knots)
     motion = rollouts.fly(commands, np.full(count, cart_start_m, dtype=np.float32))
-    position, velocity = motion.state[:, :, 0], motion.state[:, :, 1]
-    reserve = np.abs(position + velocity * np.abs(velocity) / (2 * problem.BRAKING_M_S2))
+    reserve = np.abs(problem.stopping_m(motion.state[:, :, 0], motion.state[:, :, 1]))
     beyond = np.maximum.accumulate(np.maximum(reserve - problem.RAIL_MAX_M, 0.0), axis=0)
     return Library(knots, motion.tip_m, beyond)
 

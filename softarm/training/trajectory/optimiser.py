@@ -112,25 +112,13 @@ class Optimiser:
         cost = np.einsum("vpts,vpts->vp", deviation, deviation)
         cost += np.einsum("vpi,pij,vpj->vp", knots, self._quadratic, knots)
         tip = motion.tip_m.reshape(self._steps + 1, v, p, 2)[self._batch.steps, :, np.arange(p)].transpose(1, 0, 2)
-        reserve = self._reserve(state).transpose(1, 2, 0)
+        reserve = problem.stopping_m(state[..., 0], state[..., 1]).transpose(1, 2, 0)
         limit = np.float32(problem.RAIL_MAX_M)
         beyond = np.stack((reserve - limit, -reserve - limit), axis=2)
         rail = np.where(self._on[:, None], beyond, np.float32(-1.0))  # kept after a plan's end
-        change = self._change(knots)
+        change = np.diff(knots[..., 0::2], axis=-1)  # of velocity, from knot to knot
         ramp = np.stack((change - self._ramp_max, -change - self._ramp_max), axis=2)
         return _Terms(cost, tip - self._batch.target_m, rail, ramp)
-
-    def _reserve(self, state: Array) -> Array:
-        """Return the signed stopping position of the cart for states [..., S], m."""
-        velocity = state[..., 1]
-        place: Array = state[..., 0] + velocity * np.abs(velocity) / np.float32(2 * problem.BRAKING_M_S2)
-        return place
-
-    @staticmethod
-    def _change(knots: Array) -> Array:
-        """Return the change of velocity from knot to knot, [..., K - 1]."""
-        steps: Array = np.diff(knots[..., 0::2], axis=-1)
-        return steps
 
     # -- the method
 

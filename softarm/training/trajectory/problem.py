@@ -33,6 +33,12 @@ RAIL_MAX_M = RailLimits().position_max_m - RailLimits().margin_m - RAIL_SPARE_M
 BRAKING_M_S2 = RailLimits().braking_m_s2
 
 
+def stopping_m(position_m: Array, velocity_m_s: Array) -> Array:
+    """Return where a cart stops that brakes now, m."""
+    place: Array = position_m + velocity_m_s * np.abs(velocity_m_s) / np.float32(2 * BRAKING_M_S2)
+    return place
+
+
 def interpolation(steps: int) -> Array:
     """Return the matrix [steps, knots] from knots to the commands of each control step."""
     knots = -(-(steps - 1) // KNOT_STEPS) + 1
