@@ -14,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import httpx
@@ -78,13 +77,11 @@ class SoftwareInTheLoop:
             self.start_twin()
             self.start_daemon()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
         self.client.close()
         self._folder.cleanup()
@@ -106,20 +103,14 @@ class SoftwareInTheLoop:
         self.daemon = self._start("run", self.config_file)
         self._wait("run", self.daemon, self._ready_to_arm)
 
-    def healthy(self) -> bool:
-        """Return whether arming would be accepted."""
-        with contextlib.suppress(httpx.TransportError):
-            status = self.client.get("/api/status")
-            return status.status_code == 200 and status.json()["arming_refusals"] == []
-        return False
-
     def _ready_to_arm(self) -> bool:
-        """Acknowledge a latched stop and return whether arming is possible."""
-        with contextlib.suppress(httpx.TransportError):
-            status = self.client.get("/api/status")
-            if status.status_code == 200 and status.json()["estop"] == "latched":
-                self._acknowledge(status.json()["last_stop"])
-        return self.healthy()
+        """Acknowledge a latched stop and return whether arming would be accepted."""
+        with contextlib.suppress(httpx.HTTPError):
+            status = self.status()
+            if status["estop"] == "latched":
+                self._acknowledge(status["last_stop"])
+            return bool(status["arming_refusals"] == [])
+        return False
 
     def _acknowledge(self, last_stop: str) -> None:
         self.client.post("/api/acknowledge")

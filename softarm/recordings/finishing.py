@@ -18,11 +18,8 @@ from softarm.recordings.log_file import LogFile
 def finish(path: Path, pause: Callable[[], None] = lambda: None) -> None:
     """Rewrite a log in place, compressed and with an index.
 
-    The replacement is atomic. A file without a complete message is left alone.
-
-    Args:
-        path: The log.
-        pause: Called after every record; an exception from it ends the work and keeps the old file.
+    The replacement is atomic. A file without a complete message is left alone. `pause` is called after every record; an
+    exception from it ends the work and keeps the old file.
 
     Raises:
         LogError: The file is not a log.

@@ -93,12 +93,7 @@ class _Runs:
 
 
 def page(log: LogFile, entries: Iterable[Entry], advance: Callable[[], None] = lambda: None) -> str:
-    """Return the player page of a log.
-
-    Args:
-        log: The log.
-        entries: Events of the log.
-        advance: Called for every message read.
+    """Return the player page of a log and its events; `advance` is called for every message read.
 
     Raises:
         LogError: The log cannot be read or has no ticks.

@@ -1,11 +1,8 @@
 import pytest
 
-from softarm.daemon.runtime.offline import Lockstep
 from softarm.evaluation import evaluation
-from softarm.policies import registry
 from softarm.schemas import flights
 from softarm.schemas.config import Config
-from softarm.schemas.goals import Goal
 
 pytestmark = pytest.mark.slow
 
@@ -43,13 +40,3 @@ def test_pid_reaches_few_targets():
     result = evaluation.evaluate("pid", Config())
     assert 0.05 <= result["success"]["all"] <= 0.25
     assert result["max_tip_z_m"] <= 0.56
-
-
-def test_two_flights_from_one_start_are_the_same():
-    """No state is carried from one flight into the next."""
-    daemon = Lockstep(Config(), registry.load("reach"))
-    first = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
-    daemon.fly(Goal("reach", -0.35, 0.75), 0.0)
-    again = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
-    assert again.status.time_s == pytest.approx(first.status.time_s, abs=1e-6)
-    assert again.status.closest_m == pytest.approx(first.status.closest_m, abs=1e-5)

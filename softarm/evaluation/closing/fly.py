@@ -92,7 +92,12 @@ def fly_all(
         RuntimeError: The control loop refuses to arm.
         WorkerDied: A process ended early.
     """
-    todo = list(_jobs(policies, robots, pairs, targets, config))
+    todo = [
+        Job((policy, robot, manner), number, policies[policy], robots[robot], part, config)
+        for policy, robot in pairs
+        for manner, parts in ((REST, at_rest(targets)), (CHAINED, chains(targets)))
+        for number, part in enumerate(parts)
+    ]
     found: dict[tuple[Key, int], Flights] = {}
     whole, done, total = sum(map(_cost, todo)), 0, sum(len(job.scenarios) for job in todo)
     count = 0
@@ -115,19 +120,6 @@ def fly_chain(runner: Runner, chain: Iterable[Scenario]) -> list[Flight]:
         if flown[-1].stop is not None:
             daemon = None
     return flown
-
-
-def _jobs(
-    policies: Mapping[str, Flown],
-    robots: Mapping[str, Robot],
-    pairs: Iterable[tuple[str, str]],
-    targets: Sequence[Goal],
-    config: Config,
-) -> Iterable[Job]:
-    for policy, robot in pairs:
-        for manner, parts in ((REST, at_rest(targets)), (CHAINED, chains(targets))):
-            for number, part in enumerate(parts):
-                yield Job((policy, robot, manner), number, policies[policy], robots[robot], part, config)
 
 
 def _cost(job: Job) -> int:

@@ -32,13 +32,7 @@ def _hex(name: str) -> str:
 
 
 def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> None:
-    """Write a log for Foxglove. The log itself is not changed.
-
-    Args:
-        log: The log.
-        target: File to write.
-        entries: Events of the log.
-        advance: Called for every message read.
+    """Write a log and its events for Foxglove; the log itself is not changed.
 
     Raises:
         LogError: The log cannot be read.
