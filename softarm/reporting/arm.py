@@ -9,12 +9,10 @@ RADII_M = (0.030, 0.024)  # at the cart and at the tip; the real dimensions are 
 _STEPS = 8
 
 
-def outline(points: Array, radii: tuple[float, float] = RADII_M) -> Array:
+def outline(points: Array) -> Array:
     """Return a smooth, tapered outline around the arm; the far end is round.
 
-    Args:
-        points: Cart and far ends of the links, [n, 2], at least two.
-        radii: Half width at the first and at the last point, in the unit of the points.
+    `points` are the cart and the far ends of the links, m, [n, 2], at least two.
     """
     points = np.asarray(points, dtype=np.float64)
     chords = np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-9)
@@ -32,7 +30,7 @@ def outline(points: Array, radii: tuple[float, float] = RADII_M) -> Array:
     along = m + u * (2 * c + 3 * u * d)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
 
-    radius = np.linspace(*radii, len(k))[:, None]
+    radius = np.linspace(*RADII_M, len(k))[:, None]
     across = radius * np.column_stack((-along[:, 1], along[:, 0]))
     turn = np.pi * np.arange(1, _STEPS)[:, None] / _STEPS
     cap = middle[-1] + across[-1] * np.cos(turn) + radius[-1] * along[-1] * np.sin(turn)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from softarm.common.quantity import UNITS
-from softarm.schemas.model import Model, seed_effects
+from softarm.schemas.model import Model
 from softarm.simulator import effects
 from softarm.simulator.effect_table import EFFECTS, RIVALS
 from softarm.simulator.effects import REGISTRY, STAGES, Effect, EffectError, Parameter
@@ -61,16 +61,6 @@ def test_every_confusable_pair_is_symmetric_and_has_an_experiment() -> None:
         for rival, experiment in effect.separated_by.items():
             assert experiment
             assert REGISTRY[rival].separated_by[effect.name] == experiment
-
-
-def test_seed_has_its_four_and_they_are_valid() -> None:
-    assert set(seed_effects()) <= set(REGISTRY)
-    effects.validate(Model().effects)
-
-
-def test_everything_may_be_strong_or_neutral() -> None:
-    effects.validate(effects.exemplars())
-    effects.validate({e.name: {p.name: p.neutral for p in e.parameters} for e in EFFECTS})
 
 
 @pytest.mark.parametrize(("effect", "p"), PARAMETERS, ids=of)

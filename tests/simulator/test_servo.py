@@ -133,10 +133,11 @@ def test_small_lags_and_wide_limits_change_little_so_that_a_descent_sees_no_step
     np.testing.assert_array_equal(wide, plain)
 
 
-def test_a_robot_without_it_is_as_alone_bit_for_bit() -> None:
+@pytest.mark.parametrize("effect", [{"rail.servo": {}}, {"rail.force_limit": {"force": 1.0}}])
+def test_a_robot_without_an_effect_of_the_drive_is_as_alone_bit_for_bit(effect: dict[str, dict[str, float]]) -> None:
     velocity, pressure = commands.bang_bang(1, seed=7)
-    seed, served = Model(), Model(effects=seed_effects() | {"rail.servo": {}})
-    alone, beside = Simulator(seed, 1), Simulator([served, seed, served])
+    seed, changed = Model(), Model(effects=seed_effects() | effect)
+    alone, beside = Simulator(seed, 1), Simulator([changed, seed, changed])
     for v, p in zip(velocity[:60, 0], pressure[:60, 0], strict=True):
         alone.step(v, p)
         beside.step(v, p)
