@@ -2,14 +2,11 @@
 
 import threading
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from softarm.policies.base import Array, Policy
-
-Clock = Callable[[], int]  # nanoseconds, monotonic
 
 
 class PolicyOutcome(NamedTuple):
@@ -26,10 +23,9 @@ class PolicyRunner:
     Callers may only read the `spec` of `policy`.
     """
 
-    def __init__(self, policy: Policy, clock: Clock = time.monotonic_ns) -> None:
+    def __init__(self, policy: Policy) -> None:
         self.policy = policy
         self._name = policy.spec.name
-        self._clock = clock
         self._resets_wanted = 1  # a count, so that a request during a late step is not lost
         self._resets_done = 0
 
@@ -83,9 +79,9 @@ class InlineRunner(PolicyRunner):
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step, which takes as long as the policy needs."""
-        start_ns = self._clock()
+        start_ns = time.monotonic_ns()
         action, fault = self._call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
-        return PolicyOutcome(action, fault, self._clock() - start_ns)
+        return PolicyOutcome(action, fault, time.monotonic_ns() - start_ns)
 
 
 class ThreadRunner(PolicyRunner):
@@ -96,8 +92,8 @@ class ThreadRunner(PolicyRunner):
     watchdog covers that case.
     """
 
-    def __init__(self, policy: Policy, budget_s: float, clock: Clock = time.monotonic_ns) -> None:
-        super().__init__(policy, clock)
+    def __init__(self, policy: Policy, budget_s: float) -> None:
+        super().__init__(policy)
         self._budget_s = budget_s
         self._late_since_ns: int | None = None  # start of an abandoned step that still runs
         self._closed = False
@@ -112,7 +108,7 @@ class ThreadRunner(PolicyRunner):
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step and return within `budget_s` plus the scheduler's delay."""
-        start_ns = self._clock()
+        start_ns = time.monotonic_ns()
         if self._closed:
             return PolicyOutcome(None, f"policy '{self._name}': its runner is closed", 0)
         if self._late_since_ns is not None:
@@ -125,7 +121,7 @@ class ThreadRunner(PolicyRunner):
             self._late_since_ns = start_ns
             return self._late(start_ns, start_ns)
         action, fault = self._result
-        return PolicyOutcome(action, fault, self._clock() - start_ns)
+        return PolicyOutcome(action, fault, time.monotonic_ns() - start_ns)
 
     def close(self) -> None:
         """End the thread; a thread that hangs in its policy ends with the process."""
@@ -136,7 +132,7 @@ class ThreadRunner(PolicyRunner):
             self._thread.join(timeout=self._budget_s)
 
     def _late(self, since_ns: int, start_ns: int) -> PolicyOutcome:
-        now_ns = self._clock()
+        now_ns = time.monotonic_ns()
         fault = (
             f"late: policy '{self._name}' has not answered for {(now_ns - since_ns) / 1e6:.0f} ms; "
             f"its budget is {self._budget_s * 1e3:.0f} ms"

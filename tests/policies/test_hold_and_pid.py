@@ -21,11 +21,6 @@ def goal(y, z):
     return np.array([y, z], dtype=np.float32)
 
 
-def test_only_pid_needs_a_target():
-    assert not Hold().spec.needs_target
-    assert Pid().spec.needs_target
-
-
 @pytest.mark.parametrize("rest", [0.0, 3.5, -0.7, 20.0])
 def test_hold_stands_still_at_its_rest_pressure_without_a_target(rest):
     action = Hold(rest_pressure_kpa=rest).step(observe(tip_vy=3), goal(np.nan, np.nan))

@@ -3,12 +3,10 @@
 import hashlib
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from onnx import numpy_helper
 
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
@@ -172,16 +170,6 @@ def test_a_file_for_another_robot_is_refused_with_the_reason(write_model, change
 def test_all_problems_of_the_metadata_are_reported_together(write_model):
     with pytest.raises(PolicyError, match=r"goal 0 .*goal 1 .*rate_hz"):
         OnnxPolicy(model=str(write_model(goal=swapped(REACH_GOAL, 0, 1), rate_hz=60.0)))
-
-
-def test_altered_weights_are_refused(write_model):
-    path = write_model()
-    model = onnx.load(path)
-    (bias,) = (weights for weights in model.graph.initializer if weights.name == "head_bias")
-    bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + np.float32(0.01), "head_bias"))
-    onnx.save(model, path)
-    with pytest.raises(PolicyError, match="its golden run is off by"):
-        OnnxPolicy(model=str(path))
 
 
 @pytest.mark.parametrize("content", [b"", b"not a model", b"\x08\x09" * 50])

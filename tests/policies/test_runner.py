@@ -72,8 +72,6 @@ def boom(observation, goal):
         (lambda o, g: None, "step returned NoneType instead of a numpy array"),
         (lambda o, g: o, "step returned an array of shape [8] instead of [2]"),
         (lambda o, g: np.float32(1), "step returned float32 instead of a numpy array"),
-        (lambda o, g: np.array(["0", "1"]), "step returned an array of <U1 instead of float32"),
-        (lambda o, g: np.array([1j, 0]), "step returned an array of complex128 instead of float32"),
         (lambda o, g: np.array([True, False]), "step returned an array of bool instead of float32"),
         (lambda o, g: np.array([np.nan, 0]), "step returned [nan, 0.0], which is not finite"),
         (lambda o, g: np.array([0, -np.inf]), "step returned [0.0, -inf], which is not finite"),
@@ -254,17 +252,16 @@ def test_all_steps_run_on_one_separate_thread():
     assert threading.get_ident() not in seen
 
 
-def test_the_clock_is_injected():
-    for make in (InlineRunner, lambda policy, clock: ThreadRunner(policy, AMPLE_S, clock)):
-        ticks = iter(range(100, 1000, 7))
-        runner = make(Scripted(), clock=lambda ticks=ticks: next(ticks))
-        assert runner.step(OBSERVATION, GOAL).duration_ns == 7
-        runner.close()
+def test_the_duration_of_a_step_is_measured(run, monkeypatch):
+    now_ns = iter(range(100, 1000, 7))
+    monkeypatch.setattr(time, "monotonic_ns", lambda: next(now_ns))
+    assert run().step(OBSERVATION, GOAL).duration_ns == 7
 
 
-def test_the_fault_of_a_late_step_states_its_duration():
+def test_the_fault_of_a_late_step_states_its_duration(monkeypatch):
     policy, now_ns = Slow(), [5_000_000_000]
-    runner = ThreadRunner(policy, budget_s=0.02, clock=lambda: now_ns[0])
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns[0])
+    runner = ThreadRunner(policy, budget_s=0.02)
 
     def late_at(ns):
         now_ns[0] = ns
