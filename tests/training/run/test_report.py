@@ -1,4 +1,4 @@
-"""Report of a run: the curve for TensorBoard, and a page with curves and tip paths."""
+"""Report of a run: a page with curves and tip paths, and what happens without TensorBoard."""
 
 from base64 import b64encode
 from functools import cache
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from matplotlib.patches import Circle, FancyBboxPatch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from softarm import policies
 from softarm.cli.learn.train import train
@@ -32,8 +31,8 @@ SHIPPED = Path(policies.__file__).parent / "models" / "reach.onnx"
 RADIUS_M = ReachTask().success_radius_m
 
 
-def session(out, pool, resume=False, task=None):
-    return Session(task or ReachTask(), SMALL, PpoConfig(), out, pool, resume)
+def session(out, pool, task=None):
+    return Session(task or ReachTask(), SMALL, PpoConfig(), out, pool, resume=False)
 
 
 @cache
@@ -51,37 +50,6 @@ def flown_at_shelf(run, pool):
     trials = validation.combined(flights.shelf(), run.model.arm.links)
     outcome = validation.fly(run.average, run.task, trials, pool)
     return validation.Tested(validation.ShelfReport(float(outcome.reached.mean()), 0.25), trials, outcome)
-
-
-def read(folder):
-    """tag -> (frames, value) of each point."""
-    events = EventAccumulator(str(folder)).Reload()
-    return {tag: [(each.step, each.value) for each in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
-
-
-def reported(curve):
-    """Return the learning curve as TensorBoard stores it, in float32."""
-    points = {}
-    for tag, column in tensorboard.SCALARS.items():
-        values = [(row.frames, getattr(row, column)) for row in curve]
-        points[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
-    return points
-
-
-@pytest.mark.usefixtures("plain_pictures")
-def test_a_resumed_run_writes_each_point_once(tmp_path, pool):
-    killed = session(tmp_path, pool)
-    for _ in range(3):  # one beyond its last checkpoint
-        killed.advance()
-    killed.events.close()
-    assert len(read(tmp_path / "tensorboard")["learner/kl"]) == 3
-    resumed = session(tmp_path, pool, resume=True)
-    assert len(resumed.curve) == 2
-    resumed.run(frames=4 * FRAMES, minutes=None)
-    assert [row.frames for row in resumed.curve] == [FRAMES, 2 * FRAMES, 3 * FRAMES, 4 * FRAMES]
-    assert [row.validation is None for row in resumed.curve] == [True, False, True, False]
-    assert read(tmp_path / "tensorboard") == reported(resumed.curve)
-    assert resumed.events.fault is None
 
 
 @pytest.mark.usefixtures("plain_pictures", "short_validation")

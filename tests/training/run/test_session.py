@@ -10,6 +10,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import METADATA_KEY
@@ -17,7 +18,7 @@ from softarm.training.learn import validation
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import checkpoint
+from softarm.training.record import checkpoint, tensorboard
 from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.record.export import export_checkpoint, onnx_model
 from softarm.training.record.settings import TrainingConfig
@@ -59,11 +60,28 @@ def finished(tmp_path_factory) -> Session:
     return run
 
 
+def points(folder):
+    """Return (frames, value) of each point that TensorBoard shows, by tag."""
+    events = EventAccumulator(str(folder)).Reload()
+    return {tag: [(each.step, each.value) for each in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+
+
+def stored(curve):
+    """Return the learning curve as TensorBoard stores it, in float32."""
+    by_tag = {}
+    for tag, column in tensorboard.SCALARS.items():
+        values = [(row.frames, getattr(row, column)) for row in curve]
+        by_tag[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
+    return by_tag
+
+
 @pytest.mark.slow
-def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path, pool):
+def test_a_killed_run_is_resumed_bit_for_bit_and_each_point_is_shown_once(finished, tmp_path, pool):
     killed = session(tmp_path, pool)
     for _ in range(3):  # one beyond its last checkpoint
         killed.advance()
+    killed.events.close()
+    assert len(points(tmp_path / "tensorboard")["learner/kl"]) == 3
     resumed = session(tmp_path, pool, resume=True)
     assert len(resumed.curve) == 2
     resumed.run(frames=4 * FRAMES, minutes=None)
@@ -77,6 +95,8 @@ def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path, pool):
         return [row._replace(seconds=0.0, frames_per_s=0.0) for row in rows]
 
     assert without_time(resumed.curve) == without_time(finished.curve)
+    assert points(tmp_path / "tensorboard") == stored(resumed.curve)
+    assert resumed.events.fault is None
 
 
 def test_validation_uses_a_moving_average_of_the_weights(tmp_path, pool):
