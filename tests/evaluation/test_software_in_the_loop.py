@@ -5,7 +5,6 @@ import json
 import signal
 import time
 
-import httpx
 import pytest
 import zenoh
 
@@ -84,17 +83,6 @@ def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rai
     log = logs.read(path)
     assert not log.finished
     assert abs(killed_ns - log.t_last_ns) <= 0.2e9
-
-
-@pytest.mark.prove
-@pytest.mark.realtime
-def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
-    path = sil.status()["recorder"]["log"]
-    sil.daemon.send_signal(signal.SIGTERM)
-    assert sil.daemon.wait(5.0) == 0
-    assert logs.read(path).finished
-    with pytest.raises(httpx.TransportError):
-        sil.client.get("/api/status")
 
 
 @pytest.mark.slow
