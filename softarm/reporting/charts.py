@@ -134,11 +134,7 @@ class Forest:
 
 
 def lanes(t: Array, curves: Mapping[str, Array], text: str, unit: str = "s") -> Html:
-    """Return a chart of signals over time, one below the other, each with its own scale that contains zero.
-
-    Args:
-        unit: Unit of the time.
-    """
+    """Return a chart of signals over time (in `unit`), one below the other, each with a scale that contains zero."""
     height, parts = 86.0, []
     x = (_LEFT + t / t[-1] * (_WIDTH - _LEFT - _RIGHT)).tolist()
     for i, (name, values) in enumerate(curves.items()):

@@ -31,10 +31,8 @@ def document(
     """Return a page as text; equal contents give equal pages.
 
     Args:
-        title: Title of the page.
         maker: Program that made the page, e.g. `softarm diagnosis`.
         lead: Heading (h1) and introduction.
-        sections: Sections in the order of the page.
         plot: Data for plot.js, of `softarm.reporting.plot.packed`.
         player: Data for player.js. Without plot and player, the page has no script.
     """

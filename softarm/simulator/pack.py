@@ -80,7 +80,7 @@ def _checked(path: str, values: ArrayLike, robots: int) -> Array:
 
 
 def pack(models: Sequence[Model], effects: Effects) -> Array:
-    """Return the kernel's parameters in the order of `kernel.Rows`, [R, parameter], or [1, parameter] if all are alike.
+    """Return the kernel's parameters in the order of `kernel.rows`, [R, parameter], or [1, parameter] if all are alike.
 
     An absent effect has its neutral value: no lag, no delay, and the velocity tracker at any error instead of the
     acceleration tracker.

@@ -231,14 +231,9 @@ class Simulator:
             self._rows[:, self._at.late] = 0.0
 
     def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = CONTROL_PERIOD_S) -> Array:
-        """Run T commands of step_s each on this thread, with the same bits as T calls of `step`.
+        """Run commands [T, R] of step_s each on this thread, with the same bits as T calls of `step`.
 
         Planners use it to simulate thousands of plans.
-
-        Args:
-            cart_velocity_m_s: [T, R].
-            pressure_kpa: [T, R].
-            step_s: duration of each command, s.
 
         Returns:
             The cart's y and velocity and the tip's y and z at the end of every step, [T, 4, R].
@@ -306,16 +301,10 @@ class Simulator:
         *,
         start: tuple[ArrayLike, ArrayLike, ArrayLike],
     ) -> None:
-        """Advance only the arm, with given motion of cart and pressure.
+        """Advance only the arm, with given motion of cart and pressure at the end of the step, scalars or [R].
 
-        Within the step, the cart follows the cubic through both ends and the pressure a straight line.
-
-        Args:
-            cart_position_m: at the end of the step, scalar or [R].
-            cart_velocity_m_s: at the end of the step, scalar or [R].
-            pressure_kpa: at the end of the step, scalar or [R].
-            duration_s: length of the step, s.
-            start: the same three at the start of the step.
+        Within the step, the cart follows the cubic through both ends and the pressure a straight line. `start` is the
+        motion at the start of the step.
         """
         at, rows = self._at, self._rows
         for row, values in zip((at.q, at.v, at.pressure), start, strict=True):

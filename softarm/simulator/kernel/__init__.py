@@ -14,13 +14,11 @@ float32; float64 compiles from the same source. Fast-math is off, so NaN propaga
 A change in any of these files recompiles all of them (compiled.py): numba alone would check only run.py.
 """
 
-from softarm.simulator.kernel.layout import HISTORY, Rows, rows
+from softarm.simulator.kernel.layout import rows
 from softarm.simulator.kernel.run import advance, advance_parallel, fly, locate, prepare
 from softarm.simulator.kernel.stages import fly_arm, fly_cart, fly_pressure
 
 __all__ = [
-    "HISTORY",
-    "Rows",
     "advance",
     "advance_parallel",
     "fly",
