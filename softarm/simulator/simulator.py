@@ -4,6 +4,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
@@ -241,22 +242,7 @@ class Simulator:
         Raises:
             ValueError: for other shapes.
         """
-        shape = np.shape(cart_velocity_m_s)
-        if len(shape) != 2 or shape[1] != self.robots or np.shape(pressure_kpa) != shape:
-            raise ValueError(
-                f"the plans have shapes {shape} and {np.shape(pressure_kpa)}; give both as [steps, {self.robots}]"
-            )
-        velocity, pressure = (
-            np.ascontiguousarray(each, dtype=self._real) for each in (cart_velocity_m_s, pressure_kpa)
-        )
-        path = np.empty((shape[0], 4, self.robots), self._real)
-
-        def entry(*arguments: Any) -> None:
-            kernel.fly(*arguments, velocity, pressure, path)
-
-        self._run(entry, step_s)
-        self.time_s += (shape[0] - 1) * step_s
-        return path
+        return self._fly(kernel.fly, 0, step_s, cart_velocity_m_s, pressure_kpa, rows=(4,), threads=1)
 
     def take_over(self, other: "Simulator", robot: int = 0) -> None:
         """Copy the state and the pending commands of one robot of another simulator to every robot.
@@ -413,6 +399,43 @@ class Simulator:
         entry(self._memory, self._scratch, self._links, self._lanes, parts, active, substeps, dt)
         self._located = False
         self.time_s += duration_s
+
+    def _fly(
+        self,
+        function: Callable[..., None],
+        given: int,
+        step_s: float,
+        *inputs: Array,
+        further: tuple[float, ...] = (),
+        rows: tuple[int, ...] = (),
+        threads: int | None = None,
+    ) -> Array:
+        """Run a function of the kernel through inputs [T, R] and return its path, [T, *rows, R].
+
+        Each thread (default: one a core) has blocks of its own.
+        """
+        steps, width = len(inputs[0]), len(self._lanes)
+        if any(each.shape != (steps, self.robots) for each in inputs):
+            raise ValueError(f"the inputs have shapes {[each.shape for each in inputs]}; give [steps, {self.robots}]")
+        path = np.empty((steps, *rows, self.robots), self._real)
+        arrays = [np.ascontiguousarray(each, dtype=self._real) for each in inputs]
+        threads = threads or min(numba.get_num_threads(), len(self._rows))
+        edges = np.linspace(0, len(self._rows), threads + 1).astype(int).tolist()
+
+        def entry(memory: Array, scratch: Array, *arguments: Any) -> None:
+            def part(i: int) -> None:
+                a, b = edges[i : i + 2]
+                function(memory[a:b], scratch[i : i + 1], *arguments, a * width, *arrays, *further, path)
+
+            if threads == 1:
+                part(0)
+                return
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(part, range(threads)))
+
+        self._run(entry, step_s, given)
+        self.time_s += (steps - 1) * step_s
+        return path
 
     def _locate(self) -> None:
         if not self._located:

@@ -1,12 +1,5 @@
 """Batch simulator that runs a whole recording of one stage in a single call of the kernel."""
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
-import numba
-import numpy as np
-
 from softarm.simulator import kernel
 from softarm.simulator.kernel import layout
 from softarm.simulator.simulator import Array, Simulator
@@ -50,36 +43,3 @@ class StageSimulator(Simulator):
         given = layout.CART_GIVEN | layout.PRESSURE_GIVEN
         inputs = cart_position_m, cart_velocity_m_s, pressure_kpa
         return self._fly(kernel.fly_arm, given, step_s, *inputs, further=(step_s,), rows=(2 * self.links,))
-
-    def _fly(
-        self,
-        function: Callable[..., None],
-        given: int,
-        step_s: float,
-        *inputs: Array,
-        further: tuple[float, ...] = (),
-        rows: tuple[int, ...] = (),
-    ) -> Array:
-        """Run a function of the kernel on all cores, each with its own blocks, and return its path [T, *rows, R]."""
-        steps, width = len(inputs[0]), len(self._lanes)
-        if any(each.shape != (steps, self.robots) for each in inputs):
-            raise ValueError(f"the inputs have shapes {[each.shape for each in inputs]}; give [steps, {self.robots}]")
-        path = np.empty((steps, *rows, self.robots), self._real)
-        arrays = [np.ascontiguousarray(each, dtype=self._real) for each in inputs]
-        threads = min(numba.get_num_threads(), len(self._rows))
-        edges = np.linspace(0, len(self._rows), threads + 1).astype(int).tolist()
-
-        def entry(memory: Array, scratch: Array, *arguments: Any) -> None:
-            def part(i: int) -> None:
-                a, b = edges[i : i + 2]
-                function(memory[a:b], scratch[i : i + 1], *arguments, a * width, *arrays, *further, path)
-
-            if threads == 1:
-                part(0)
-                return
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(part, range(threads)))
-
-        self._run(entry, step_s, given)
-        self.time_s += (steps - 1) * step_s
-        return path

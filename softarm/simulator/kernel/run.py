@@ -113,31 +113,32 @@ def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt)
 
 
 @compiled(nogil=True)
-def fly(memory, scratch, links, lanes, parts, active, substeps, dt, velocity, pressure, path):
+def fly(memory, scratch, links, lanes, parts, active, substeps, dt, first, velocity, pressure, path):
     """Advance every block on this thread through a whole plan, without holding Python's lock.
 
     Blocks are advanced one after the other, so that a block's rows stay in the nearest cache. The first eight
     arguments are those of `advance`.
 
     Args:
+        first: number of the first robot of the memory.
         velocity: commands of the cart [steps, robots], m/s.
         pressure: commands [steps, robots], kPa.
         path: [steps, 4, robots], set to the cart's y and velocity and the tip's y and z at the end of every step.
     """
     at, n, width = rows(links), len(links), len(lanes)
     for block in range(memory.shape[0]):
-        m, first = memory[block], block * width
+        m, robot = memory[block], first + block * width
         for step in range(velocity.shape[0]):
-            for k in range(min(width, velocity.shape[1] - first)):
-                m[at.cart_command * width + k] = velocity[step, first + k]
-                m[at.pressure_command * width + k] = pressure[step, first + k]
+            for k in range(min(width, velocity.shape[1] - robot)):
+                m[at.cart_command * width + k] = velocity[step, robot + k]
+                m[at.pressure_command * width + k] = pressure[step, robot + k]
             advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
             locate_block(m, links, lanes)
-            for k in range(min(width, velocity.shape[1] - first)):
-                path[step, 0, first + k] = m[at.q * width + k]
-                path[step, 1, first + k] = m[at.v * width + k]
-                path[step, 2, first + k] = m[(at.end_y + n - 1) * width + k]
-                path[step, 3, first + k] = m[(at.end_z + n - 1) * width + k]
+            for k in range(min(width, velocity.shape[1] - robot)):
+                path[step, 0, robot + k] = m[at.q * width + k]
+                path[step, 1, robot + k] = m[at.v * width + k]
+                path[step, 2, robot + k] = m[(at.end_y + n - 1) * width + k]
+                path[step, 3, robot + k] = m[(at.end_z + n - 1) * width + k]
 
 
 @compiled
