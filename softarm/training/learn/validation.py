@@ -65,12 +65,6 @@ class ShelfReport(NamedTuple):
     trials: float
     random: float
 
-    @property
-    def sentence(self) -> str:
-        """Shares as a sentence for people."""
-        random = f"500 random ones: {self.random:.1%}"
-        return f"the seed's 12 shelf trials, at {PHYSICS_RATE_HZ:g} Hz: {self.trials:.1%}; {random}"
-
 
 class Tested(NamedTuple):
     """Test scenarios of a task with their results and reported shares."""
@@ -82,9 +76,11 @@ class Tested(NamedTuple):
     @property
     def sentence(self) -> str:
         """Shares as a sentence for people."""
+        rate = f"at {PHYSICS_RATE_HZ:g} Hz"
         if isinstance(self.report, ShelfReport):
-            return self.report.sentence
-        return f"54 test targets from three starts, at {PHYSICS_RATE_HZ:g} Hz: {self.report.sentence}"
+            trials, random = self.report
+            return f"the seed's 12 shelf trials, {rate}: {trials:.1%}; 500 random ones: {random:.1%}"
+        return f"54 test targets from three starts, {rate}: {self.report.sentence}"
 
 
 def at_rest(cart_position_m: Array, links: int) -> Starts:
