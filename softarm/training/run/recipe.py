@@ -119,15 +119,13 @@ def prepare(recipe: Recipe, seed: int) -> Ingredients:
         "ppo": PpoConfig(),
         "network": NetworkShape(),
     }
-    for name in recipe.settings:
-        part = name.partition(".")[0]
+    given: dict[str, dict[str, Setting]] = {part: {} for part in parts}
+    for path, value in recipe.settings.items():
+        part, _, name = path.partition(".")
         if part not in parts:
-            raise ValueError(f"{name}: there is no part {part!r}; settings begin with {', '.join(parts)}")
-    for part, usual in parts.items():
-        given = {
-            name.partition(".")[2]: value for name, value in recipe.settings.items() if name.partition(".")[0] == part
-        }
-        parts[part] = _changed(part, usual, given)
+            raise ValueError(f"{path}: there is no part {part!r}; settings begin with {', '.join(parts)}")
+        given[part][name] = value
+    parts = {part: _changed(part, usual, given[part]) for part, usual in parts.items()}
     return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
 
 
