@@ -46,11 +46,7 @@ class LogChannel(Generic[T]):
         return self._message.model_construct(root=record).model_dump_json().encode()
 
     def decode(self, data: bytes) -> T:
-        """Return the record of a message.
-
-        Raises:
-            pydantic.ValidationError: The log has another format.
-        """
+        """Return the record of a message. Raises pydantic.ValidationError if the log has another format."""
         return self._message.model_validate_json(data).root
 
 

@@ -57,11 +57,7 @@ def hold(descriptor: int) -> bool:
 
 
 def is_held(path: Path) -> bool:
-    """Return whether a daemon is still writing the log.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
+    """Return whether a daemon is still writing the log. Raises OSError if the file cannot be read."""
     with path.open("rb") as file:
         return not hold(file.fileno())
 

@@ -56,11 +56,7 @@ class LogFile:
 
     @property
     def config(self) -> Config:
-        """Return the configuration used during the recording.
-
-        Raises:
-            LogError: The log does not contain it.
-        """
+        """Return the configuration used during the recording. Raises LogError if the log does not contain it."""
         try:
             return Config.model_validate_json(self.metadata[log.CONFIGURATION]["json"])
         except (KeyError, ValidationError) as error:

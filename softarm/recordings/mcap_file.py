@@ -91,11 +91,7 @@ def origin(path: Path) -> tuple[str, str]:
 
 
 def is_finished(path: Path) -> bool:
-    """Return whether the file ends as a complete MCAP file.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
+    """Return whether the file ends as a complete MCAP file. Raises OSError if the file cannot be read."""
     with path.open("rb") as file:
         if os.fstat(file.fileno()).st_size < 2 * len(MCAP0_MAGIC):
             return False

@@ -12,11 +12,7 @@ Node = dict[str, Any]
 
 
 def plain(schema: bytes) -> bytes:
-    """Return the schema of an object in this form.
-
-    Raises:
-        KeyError: A reference has no definition.
-    """
+    """Return the schema of an object in this form. Raises KeyError if a reference has no definition."""
     root: Node = json.loads(schema)
     return json.dumps(_plain(root, root.get("$defs", {})), allow_nan=False).encode()
 
