@@ -27,9 +27,7 @@ def find(kind: str, name: str, plugins: Mapping[str, Callable[[], Plugin]], buil
     """
     if name not in plugins:
         known = sorted({*plugins, *built_in})
-        near = nearest(name, known)
-        hint = f"; did you mean '{near}'?" if near else ""
-        raise PluginError(f"no {kind} '{name}'{hint} (installed: {', '.join(known) or 'none'})")
+        raise PluginError(f"no {kind} '{name}'{_hint(name, known)} (installed: {', '.join(known) or 'none'})")
     return plugins[name]()
 
 
@@ -44,9 +42,8 @@ def check_options(kind: str, name: str, make: Plugin, options: Mapping[str, Opti
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for option in options:
         if option not in known and not takes_any:
-            near = nearest(option, known)
-            hint = f"; did you mean '{near}'?" if near else ""
-            raise PluginError(f"{kind} '{name}' has no option '{option}'{hint} (known: {', '.join(known) or 'none'})")
+            known_here = ", ".join(known) or "none"
+            raise PluginError(f"{kind} '{name}' has no option '{option}'{_hint(option, known)} (known: {known_here})")
     required = {p.name for p in parameters if p.name in known and p.default is p.empty}
     if missing := sorted(required - options.keys()):
         raise PluginError(
@@ -74,3 +71,8 @@ def said(error: BaseException) -> str:
     """Return an error as one line."""
     text = " ".join(str(error).split())
     return text if isinstance(error, PluginError) else f"{type(error).__name__}: {text}"
+
+
+def _hint(word: str, known: Collection[str]) -> str:
+    near = nearest(word, known)
+    return f"; did you mean '{near}'?" if near else ""

@@ -19,7 +19,6 @@ ModelValue = float | str | tuple[float, ...] | Pairs
 
 LINKS_MAX = 12
 # Base units that a column may have, by the beginning of its name. Other columns may have any unit.
-_LENGTHS, _TURNS = ("m",), ("rad",)
 COLUMN_UNITS: dict[str, tuple[str, ...]] = {
     "position": ("m", "rad", "counts", PURE),
     "velocity": ("m/s", "rad/s", "counts/s", "-/s", PURE),
@@ -28,7 +27,7 @@ COLUMN_UNITS: dict[str, tuple[str, ...]] = {
     "current": ("A",),
     "voltage": ("V",),
     "torque": ("N m",),
-    "angle": _TURNS,
+    "angle": ("rad",),
     "rate": ("rad/s",),
 }
 

@@ -8,8 +8,6 @@ from softarm.common.quantity import factor
 from softarm.schemas.base import Strict
 from softarm.schemas.stage_model import LINKS_MAX, ModelValue, StageKind
 
-__all__ = ["Column", "Mechanism", "SeveralFile", "StageFile", "StageKind", "TableForm", "TableTrial", "TrialFile"]
-
 
 def _pure(unit: object) -> object:
     return "1" if unit == 1 else unit  # as YAML reads it without quotes

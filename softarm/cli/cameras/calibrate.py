@@ -80,11 +80,8 @@ def calibrate(
     gathering = Gathering([name for name in BODY_NAMES if getattr(config.bodies, name) is not None], middle)
     warn("let the arm hang still, drive off and vented" + (", the cart in the middle of the rail" if middle else ""))
     with Client(config, address, warn) as client, bar("calibrating", None) as shown:
-
-        def show(text: str) -> None:
-            shown.show(text=text)
-
-        gather(config, client, gathering, seconds, partial(_next, config, gathering, middle), show)
+        begin = partial(_next, config, gathering, middle)
+        gather(config, client, gathering, seconds, begin, lambda text: shown.show(text=text))
     if end is None:
         end = "+y" if click.confirm(END, err=True) else "-y"
     found = calculate(gathering.rest, gathering.push, config.bodies, end == "+y", middle, straight)

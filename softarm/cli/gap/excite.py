@@ -1,11 +1,11 @@
 """`softarm excite`: play excitations on the robot or a simulated one, and record them."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.gap.excitations import planned, print_next
 from softarm.cli.operate.robots import independent_body
 from softarm.cli.shared.completion import excitations
 from softarm.cli.shared.errors import fail, failing
@@ -65,7 +65,7 @@ def excite(
     if plan is not None:
         if names:
             raise click.UsageError("NAME or --plan, not both")
-        names = (planned(plan),)
+        names = (_planned(plan),)
     if not names:
         raise click.UsageError("no excitation named: `softarm excite --list` shows all")
     if config_file is None and not (simulated or reality):
@@ -93,7 +93,7 @@ def excite(
                     status, log = play(config, name, real_devices(config), shown.show)
             _report(name, status, log)
             recorded.append(log)
-    print_next([log for log in recorded if log is not None], plan)
+    _print_next([log for log in recorded if log is not None], plan)
 
 
 def _report(name: str, status: "GoalStatus", log: Path | None) -> None:
@@ -101,3 +101,39 @@ def _report(name: str, status: "GoalStatus", log: Path | None) -> None:
     if status.state != "reached":
         fail(f"{name} was not completed: {status.state}, {status.reason}; its recording so far is {log}")
     click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
+
+
+def _print_next(logs: list[Path], plan: Path | None) -> None:
+    """Print the commands that analyse the recordings."""
+    if not logs:
+        return
+    recorded = shlex.join(map(str, logs))
+    if plan is not None:
+        new = plan.with_name(f"{plan.stem}-next.json")
+        click.echo(f"next: softarm diagnose {recorded} --json {shlex.quote(str(new))}")
+        click.echo(f"(to use all data, also name the recordings behind {plan}, before {recorded})")
+        return
+    click.echo(f"next: softarm identify {recorded} --out model.yaml")
+    if len(logs) > 1:
+        click.echo(f"or:   softarm diagnose {recorded} --report report.html")
+
+
+def _planned(plan: Path) -> str:
+    """Return the excitation that a verdict asks for next; end the command with a sentence if there is none."""
+    from pydantic import ValidationError
+
+    from softarm.schemas.verdict import Verdict
+
+    try:
+        verdict = Verdict.model_validate_json(plan.read_bytes())
+    except OSError as error:
+        fail(f"{plan}: cannot be read ({error.strerror}); name a file that `softarm diagnose --json` wrote")
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        fail(f"{plan}: {f'{where}: ' if where else ''}{first['msg']}; name a file that `softarm diagnose --json` wrote")
+    if verdict.next_experiment is None:
+        fail(f"{plan}: asks for no next experiment; name an excitation, `softarm excite --list` shows them")
+    for effect, expected in verdict.next_experiment.expect.items():
+        click.echo(f"if {effect}: {expected}")
+    return verdict.next_experiment.excitation

@@ -1,7 +1,6 @@
 """`softarm new rig`: write the stage.yaml of another rig from its recordings."""
 
 import os
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from softarm.cli.shared.errors import Failure, fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, INPUT, check_places, write
 from softarm.cli.shared.printing import print_table, waiting
-from softarm.schemas.stage_model import DESCRIBED, StageKind
+from softarm.schemas.stage_model import DESCRIBED
 
 if TYPE_CHECKING:
     from softarm.diagnosis.describe.joints import ModelJoint
@@ -20,6 +19,14 @@ if TYPE_CHECKING:
 
 KINDS = click.Choice(DESCRIBED)
 ANGLES = click.Choice(("absolute", "relative"))
+
+
+def _pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    """Return KEY=VALUE options by their keys; the last equals sign separates, since headers may hold others."""
+    for text in texts:
+        if not all(text.rpartition("=")):
+            raise click.UsageError(f"{option.opts[0]} {text}: has no value; write {option.opts[0]} NAME=VALUE")
+    return {text.rpartition("=")[0]: text.rpartition("=")[2] for text in texts}
 
 
 @click.command()
@@ -32,27 +39,24 @@ ANGLES = click.Choice(("absolute", "relative"))
 @click.option("--measured", multiple=True, metavar="COLUMN", help="Measured output; may be repeated, from link 1 on.")
 @click.option("--base", default="", metavar="COLUMN", help="Position of the cart below a pendulum or chain.")
 @click.option("--time", default="", metavar="COLUMN", help="Time column.")
-@click.option("--rate", type=RATE, metavar="HZ", help="Rows a second, for tables without a time column.")
+@click.option("--rate", "rate_hz", type=RATE, metavar="HZ", help="Rows a second, for tables without a time column.")
 @click.option(
-    "--unit", "units", multiple=True, metavar="COLUMN=UNIT", help='Unit of a column; * fits several: "q*=rad".'
+    "--unit",
+    "units",
+    multiple=True,
+    callback=_pairs,
+    metavar="COLUMN=UNIT",
+    help='Unit of a column; * fits several: "q*=rad".',
 )
-@click.option("--nominal", multiple=True, metavar="KEY=NUMBER", help="Value of the nominal model: mass_kg=0.4,0.3.")
+@click.option(
+    "--nominal",
+    multiple=True,
+    callback=_pairs,
+    metavar="KEY=NUMBER",
+    help="Value of the nominal model: mass_kg=0.4,0.3.",
+)
 @click.option("--angles", type=ANGLES, help="Angles of a chain: from the vertical, or from link to link.")
-def rig(
-    data: tuple[Path, ...],
-    out: Path,
-    overwrite: bool,
-    name: str,
-    kind: StageKind | None,
-    command: tuple[str, ...],
-    measured: tuple[str, ...],
-    base: str,
-    time: str,
-    rate: float | None,
-    units: tuple[str, ...],
-    nominal: tuple[str, ...],
-    angles: Any,
-) -> None:
+def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: Any) -> None:
     """Describe the recordings of another rig in a stage.yaml, and check it.
 
     DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat), ROS bags (.mcap, .db3, .bag) or folders of them. Columns,
@@ -75,17 +79,6 @@ def rig(
 
     leaves(NOTHING)
     _may_be_written(out, overwrite)
-    given = Answers(
-        kind=kind,
-        command=command,
-        measured=measured,
-        base=base,
-        time=time,
-        rate_hz=rate,
-        units=_pairs("--unit", units),
-        nominal=_pairs("--nominal", nominal),
-        angles=angles,
-    )
     models = [path for path in data if path.suffix in (".xml", ".urdf")]
     if len(models) > 1:
         raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
@@ -94,9 +87,9 @@ def rig(
     _show(found)
     if models:
         where, joints = os.path.relpath(models[0].resolve(), out.parent.resolve()), _joints(models[0])
-        proposal = proposed(given, lambda answers: of_joints.propose(found, answers, joints, where))
+        proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, joints, where))
     else:
-        proposal = proposed(given, lambda answers: propose(found, answers))
+        proposal = proposed(Answers(**given), lambda answers: propose(found, answers))
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")
@@ -126,14 +119,6 @@ def _may_be_written(out: Path, overwrite: bool) -> None:
             fail(f"{out}: exists and is not overwritten; choose another --out, or add --overwrite")
         if not click.confirm(f"{out} exists. Replace it?"):
             fail(f"{out}: not changed; choose another --out")
-
-
-def _pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
-    """Return KEY=VALUE options by their keys; the last equals sign separates, since headers may hold others."""
-    for text in texts:
-        if not all(text.rpartition("=")):
-            raise click.UsageError(f"{option} {text}: has no value; write {option} NAME=VALUE")
-    return {text.rpartition("=")[0]: text.rpartition("=")[2] for text in texts}
 
 
 def _show(found: "Survey") -> None:

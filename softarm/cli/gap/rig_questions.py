@@ -69,7 +69,5 @@ def _asked(questions: Sequence["Question"], answers: "Answers") -> "Answers":
             return replace(answers, command=(said,))
         case "--measured":
             return replace(answers, measured=tuple(part.strip() for part in said.split(",")))
-        case "--angles":
-            return replace(answers, angles=said)
-        case _:
-            return replace(answers, kind=said)
+        case plain:
+            return replace(answers, **{plain.removeprefix("--"): said})

@@ -4,6 +4,7 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -28,7 +29,7 @@ DEFAULT_POLICY = "reach"
 
 @dataclass(frozen=True)
 class _Choice:
-    """The options of one call."""
+    """Options of one call, by their names in the command."""
 
     policies: tuple[str, ...]
     config_file: Path | None
@@ -87,19 +88,7 @@ class _Choice:
 @click.option("--test", "tests", multiple=True, help="Fly this test, TEST or TEST@MODEL; repeatable.")
 @click.option("--matrix", is_flag=True, help="With --runs: fly the sweep alone, on every shipped model.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of a comparison.  [default: one per core]")
-def evaluate(
-    policies: tuple[str, ...],
-    json_file: Path | None,
-    config_file: Path | None,
-    model_file: Path | None,
-    compare_all: bool,
-    report: Path | None,
-    runs: Path | None,
-    only: tuple[str, ...],
-    tests: tuple[str, ...],
-    matrix: bool,
-    workers: int | None,
-) -> None:
+def evaluate(json_file: Path | None, report: Path | None, workers: int | None, **chosen: Any) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
     Observer, policy, safety filter and failsafe are those of the daemon; only the devices are simulated. Several
@@ -114,14 +103,14 @@ def evaluate(
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
     leaves(NOTHING)
-    choice = _Choice(policies, config_file, model_file, compare_all, runs, only, tests, matrix)
+    choice = _Choice(**chosen)
     choice.check()
-    if compare_all or matrix or tests or report or len(policies) > 1:
+    if choice.compare_all or choice.matrix or choice.tests or report or len(choice.policies) > 1:
         _compare(choice, json_file, report, workers or cores())
         return
     if workers is not None:
         raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several --policy")
-    _evaluate((*policies, DEFAULT_POLICY)[0], json_file, config_file, model_file)
+    _evaluate(choice, json_file)
 
 
 def _compare(choice: _Choice, json_file: Path | None, report: Path | None, workers: int) -> None:
@@ -146,11 +135,12 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
         write(report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
 
 
-def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
+def _evaluate(choice: _Choice, json_file: Path | None) -> None:
     from softarm.evaluation import evaluation
 
-    config = load_config(config_file)
-    model = flown_model(model_file)
+    (policy,) = choice.policies or (DEFAULT_POLICY,)
+    config = load_config(choice.config_file)
+    model = flown_model(choice.model_file)
     with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
         result = evaluation.evaluate(policy, config, model, shown.advance)
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))

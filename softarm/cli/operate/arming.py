@@ -18,10 +18,7 @@ _SETTLES_S = 3.0
 def wait_while(daemon: Remote, mode: str, why: str) -> dict[str, object]:
     """Poll until the daemon leaves a mode, bounded by its own time limits, and return the status then.
 
-    Args:
-        daemon: The daemon to poll.
-        mode: The mode to wait for the end of.
-        why: Text to print once the wait takes more than a second.
+    If the wait takes more than a second, `why` is printed.
     """
     is_printed, since_s = False, time.monotonic()
     while (status := daemon.get("/api/status"))["mode"] == mode:

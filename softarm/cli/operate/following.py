@@ -16,15 +16,15 @@ POLL_S = 0.1
 def follow(
     daemon: Remote, answer: dict[str, Any], doing: str, wait: bool, as_json: bool, seconds: float | None = None
 ) -> None:
-    """Report a goal, after its end if asked for. Exits with 1 when it is not reached.
+    """Report a goal, after its end with `wait` or `seconds`. Exits with 1 when it is not reached.
 
     Args:
         daemon: The daemon that has the goal.
         answer: Its answer to the request that set the goal.
         doing: Text for a goal that is running.
-        wait: Wait for the end.
-        as_json: Print JSON instead of a sentence.
-        seconds: Cancel the goal after this time and wait until then.
+        wait: Whether to wait for the end.
+        as_json: Whether to print JSON.
+        seconds: Time after which the goal is cancelled.
     """
     if not wait and seconds is None:
         if as_json:

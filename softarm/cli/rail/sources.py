@@ -10,7 +10,7 @@ import click
 
 from softarm.cli.rail.exclusive import only_one
 from softarm.cli.shared.client import Remote, url_of
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail
 
 if TYPE_CHECKING:
     from softarm.drivers.rail.commissioning.centre import Sample
@@ -31,14 +31,7 @@ class Source(NamedTuple):
 
 @contextmanager
 def source(config: "Config", file: Path, named: str | None, token: str | None) -> Iterator[Source]:
-    """Yield the daemon of this configuration, which has motion capture, or else the drive.
-
-    Args:
-        config: The configuration.
-        file: Its file.
-        named: URL of a daemon, if given.
-        token: API token, if any.
-    """
+    """Yield the daemon at a `named` URL or of this configuration, which has motion capture, or else the drive."""
     from softarm.daemon.doctor import running
 
     url = named or url_of(config.api)
@@ -57,13 +50,12 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
                 lambda: _of_daemon(daemon, config.drivers.rail), time.sleep, time.monotonic_ns, f"daemon at {url}"
             )
             return
-    from softarm.drivers.base import DeviceError
     from softarm.drivers.rail.commissioning.centre import Sample
     from softarm.drivers.rail.commissioning.session import DriveSession
     from softarm.drivers.rail.settings import settings_of
 
     settings = settings_of(config.drivers.rail)
-    with only_one(config), failing(DeviceError), DriveSession(settings) as drive:
+    with only_one(config), DriveSession(settings) as drive:
         if drive.homed() is False:
             fail("the drive is not homed, so its middle is meaningless: `softarm rail home` first")
         name = f"drive at {settings.host}:{settings.port}; motion capture is not looked at without a daemon"
