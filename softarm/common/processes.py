@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import timedelta
 from functools import partial
 from multiprocessing import active_children, get_context, parent_process
@@ -104,6 +104,18 @@ def left_s(elapsed_s: float, share: float) -> float:
     return elapsed_s * (1.0 / min(share, 1.0) - 1.0)
 
 
+@contextmanager
+def later(seconds: float, call: Callable[[], object]) -> Iterator[None]:
+    """Call a function after a time, unless the block has ended before."""
+    timer = threading.Timer(seconds, call)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
 class _Lines:
     """Progress as lines: the first after FIRST_LINE_S, then at most one every LINE_S, with the remaining time."""
 
@@ -114,16 +126,9 @@ class _Lines:
         self._newest: tuple[str, float | None] = ("", None)
         self._lock = threading.Lock()
 
-    @contextmanager
-    def first_line(self) -> Iterator[None]:
+    def first_line(self) -> AbstractContextManager[None]:
         """Print the first line in time even if the work does not report progress."""
-        first = threading.Timer(FIRST_LINE_S, lambda: self.update(*self._newest))
-        first.daemon = True
-        first.start()
-        try:
-            yield
-        finally:
-            first.cancel()
+        return later(FIRST_LINE_S, lambda: self.update(*self._newest))
 
     def update(self, text: str, share: float | None) -> None:
         """Print a line if one is due; `share` is the completed share of the work, None if unknown."""

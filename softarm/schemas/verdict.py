@@ -102,9 +102,8 @@ class Gap(Strict):
 
     before: dict[str, Quantity]
     after: dict[str, Quantity]  # with the named effects added; held out
-    calibrated: dict[str, Quantity] = Field(
-        default_factory=dict
-    )  # with the named effects and the calibration; held out
+    # With the named effects and the calibration; held out.
+    calibrated: dict[str, Quantity] = Field(default_factory=dict)
     # Noise floor: repeatability, sensor noise, and the effect of deviations within tolerance on these recordings.
     floor: dict[str, Quantity]
     ceiling: dict[str, Quantity]  # gap that a flexible black-box model leaves

@@ -55,12 +55,12 @@ def list_faults(reality: bool | None) -> None:
     """Print the faults of the wires, and those of the independent or the simulated robot unless reality is None."""
     from softarm.drivers.twin.faults import described
 
-    print_table(("fault", "VALUE", "meaning"), described(), "faults of the wires", WIDTH)
-    if reality is not None:
-        columns = ("fault", "VALUE", "meaning")
-        rows_of_robot = _independent() if reality else _simulated()
-        title = "faults of the independent robot (--reality)" if reality else "faults of the simulated robot"
-        print_table(columns, rows_of_robot, title, WIDTH)
+    columns = ("fault", "VALUE", "meaning")
+    print_table(columns, described(), "faults of the wires", WIDTH)
+    if reality:
+        print_table(columns, _independent(), "faults of the independent robot (--reality)", WIDTH)
+    elif reality is not None:
+        print_table(columns, _simulated(), "faults of the simulated robot", WIDTH)
 
 
 def _independent() -> list[tuple[str, str, str]]:

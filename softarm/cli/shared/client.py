@@ -53,11 +53,7 @@ class Remote:
         return self.request("POST", path, body)
 
     def stop(self, port: int | None = None) -> bool:
-        """Stop through the dedicated stop port and return whether the daemon confirmed it.
-
-        Args:
-            port: The stop port; by default the port of the API plus one.
-        """
+        """Stop through the dedicated stop port, by default the API's plus one, and return whether it was confirmed."""
         url = self._client.base_url
         if url.scheme != "http":
             return False  # a TLS proxy forwards the API's port only

@@ -2,12 +2,13 @@
 
 import json
 import sys
-import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 
 import click
+
+from softarm.common.processes import later
 
 WIDTH = 80  # where there is no terminal
 PATIENCE_S = 2.0  # a wait longer than this is announced
@@ -62,10 +63,5 @@ def waiting(text: str) -> Iterator[None]:
         with console.status(text):
             yield
         return
-    later = threading.Timer(PATIENCE_S, click.echo, (f"{text} ...",), {"err": True})
-    later.daemon = True
-    later.start()
-    try:
+    with later(PATIENCE_S, lambda: click.echo(f"{text} ...", err=True)):
         yield
-    finally:
-        later.cancel()

@@ -109,12 +109,7 @@ def echo(stamp: int) -> bytes:
 def decode(datagram: bytes, version: Version | None) -> Message | None:
     """Return the message in a datagram of a server, or None for a type that the bridge does not use.
 
-    Args:
-        datagram: Received bytes.
-        version: The server's `Server.version`, needed for frames and models.
-
-    Raises:
-        ValueError: The datagram is invalid.
+    Frames and models need the server's `Server.version`. Raises ValueError on an invalid datagram.
     """
     if len(datagram) < _HEAD.size:
         raise ValueError(f"a datagram of {len(datagram)} bytes; a NatNet message has {_HEAD.size} or more")

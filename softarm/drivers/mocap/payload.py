@@ -20,12 +20,7 @@ LOST = Pose(math.nan, math.nan, math.nan, tracked=False)
 
 
 def encode(sequence: int, t_capture_ns: int, bodies: Sequence[Pose]) -> bytes:
-    """Return the payload of a frame.
-
-    Args:
-        sequence: Count of the frames.
-        t_capture_ns: Time of the exposure, CLOCK_MONOTONIC.
-        bodies: Poses in the order of `BODY_NAMES`.
+    """Return the payload of a frame with poses in the order of `BODY_NAMES`.
 
     Raises:
         ValueError: A tracked pose holds NaN or infinity.

@@ -26,14 +26,7 @@ LINGER_S = 0.02
 EXCHANGE_ERRORS = (dryve.DryveRefusal, dryve.DryveMismatch, ValueError, TimeoutError)
 
 # All errors of a connection. OverflowError: units_per_m makes a number beyond 32 bits.
-LINK_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    OverflowError,
-    dryve.DryveMismatch,
-    dryve.DryveRefusal,
-)
+LINK_ERRORS = (OSError, EOFError, ValueError, OverflowError, dryve.DryveMismatch, dryve.DryveRefusal)
 _REMEDY = {
     errno.ECONNREFUSED: "switch on 'Modbus TCP Gateway' on the drive's web page (a restart may lose it)",
     errno.EHOSTUNREACH: "check the drive's supply, the cable, and drivers.rail.host",
@@ -189,10 +182,7 @@ def is_ready(line: socket.socket, events: int, seconds: float) -> bool:
 def describe_error(error: Exception, connected: bool, then: str = "") -> tuple[str, str, str]:
     """Return the failed operation, the cause and the next step of one of LINK_ERRORS.
 
-    Args:
-        error: The error.
-        connected: Whether the connection existed when it failed.
-        then: Text appended to the next step: the reaction of this program.
+    `connected` is whether the connection existed when it failed, `then` the reaction of this program.
     """
     command = "communicate" if connected else "connect"
     if isinstance(error, dryve.DryveRefusal):

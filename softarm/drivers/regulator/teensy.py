@@ -106,13 +106,7 @@ def is_newer(sequence: int, than: int) -> bool:
 
 
 def encode(message: Message, sequence: int, time_us: int) -> bytes:
-    """Return the body of a frame (see `softarm.drivers.regulator.cobs.frame`).
-
-    Args:
-        message: Message to encode.
-        sequence: Counter of the sender, taken modulo 2^32.
-        time_us: Clock of the sender, taken modulo 2^32.
-    """
+    """Return the body of a frame (see `softarm.drivers.regulator.cobs.frame`); sequence and clock wrap at 2^32."""
     match message:
         case Hello():
             kind, payload = Kind.HELLO, b""

@@ -117,10 +117,7 @@ def _value(name: str) -> str:
 
 
 def message(text: str) -> bytes:
-    """Return the message for `Faults.apply` for a typed fault.
-
-    Args:
-        text: For example `mocap_freeze`, `rail_silence=1.5` or `mocap_drop_body=link3,2`.
+    """Return the message for `Faults.apply` for a typed fault, such as `rail_silence=1.5` or `mocap_drop_body=link3,2`.
 
     Raises:
         ValueError: The text is invalid; with the allowed values.
