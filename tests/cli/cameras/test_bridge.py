@@ -15,12 +15,11 @@ import yaml
 
 from softarm.drivers.bridge.bridging import read
 from softarm.drivers.bridge.calibration import rest_shape
-from softarm.drivers.bridge.frame import Plane
-from softarm.drivers.twin import motive
-from softarm.drivers.twin.motive import Motive, bodies_of
+from softarm.drivers.twin.motive import Motive
 from softarm.schemas.bridge import Room
 from softarm.schemas.messages import BODY_NAMES, Pose
 from tests.cli.invoke import invoke
+from tests.drivers.bridge.streaming import Streaming
 from tests.processes import free_port, running
 
 POSES = {name: Pose(0.1, 0.965 - 0.0885 * i, 0.0, tracked=True) for i, name in enumerate(BODY_NAMES)}
@@ -38,26 +37,9 @@ def poses() -> dict[str, Pose]:
 
 @pytest.fixture
 def server(poses: dict[str, Pose]) -> Iterator[Motive]:
-    """Run a server that streams 100 frames a second."""
-    ended = threading.Event()
-
-    def stream() -> None:
-        number = 0
-        while not ended.wait(0.01):
-            number += 1
-            now = served.ticks()
-            served.stream(
-                motive.frame(served.version, number, bodies_of(Plane(Room()), poses), (now - 50_000, now, now))
-            )
-
-    with Motive() as served:
-        thread = threading.Thread(target=stream, daemon=True)
-        thread.start()
-        try:
-            yield served
-        finally:
-            ended.set()
-            thread.join()
+    """Run a server that streams these poses."""
+    with Motive() as served, Streaming(served, poses, Room()):
+        yield served
 
 
 @pytest.fixture

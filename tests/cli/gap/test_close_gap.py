@@ -9,16 +9,12 @@ from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import fly, steps
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Quantity, Verdict, Where
 from tests.cli.invoke import invoke
+from tests.diagnosis.verdicts import gap, rms, verdict
 
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
-QUIET = {"pressure": Quantity(value=0.1, unit="kPa")}
-NONE = Verdict(
-    verdict="none",
-    where=Where(stage=None, share={}, regime="nowhere"),
-    gap=Gap(before=QUIET, after=QUIET, floor=QUIET, ceiling={}),
-)
+QUIET = rms("kPa", pressure=0.1)
+NONE = verdict("none", gaps=gap(QUIET, QUIET, QUIET))
 
 
 @pytest.fixture

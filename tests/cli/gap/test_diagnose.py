@@ -11,37 +11,23 @@ from softarm.daemon.config import configuration
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Verdict
+from softarm.schemas.verdict import NextExperiment, Verdict
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 from tests.cli.trial_folder import write_trial
+from tests.diagnosis.verdicts import effect, gap, rms, verdict
 
-NAMED = Verdict.model_validate(
-    {
-        "verdict": "named",
-        "where": {"stage": "pressure", "share": {"pressure": 1.0}, "regime": "deflating"},
-        "effects": [
-            {
-                "name": "pressure.dead_time",
-                "parameters": {"delay": {"value": 0.06, "low": 0.05, "high": 0.07, "unit": "s"}},
-                "confidence": 0.9,
-                "shrink": {"stage": {"value": 0.5, "low": 0.4, "high": 0.6}},
-            }
-        ],
-        "gap": {
-            "before": {"pressure": {"value": 2.0, "unit": "kPa"}},
-            "after": {"pressure": {"value": 1.0, "unit": "kPa"}},
-            "calibrated": {"pressure": {"value": 0.8, "unit": "kPa"}},
-            "floor": {"pressure": {"value": 0.2, "unit": "kPa"}},
-            "ceiling": {},
-        },
-        "next_experiment": {
-            "excitation": "pressure-multisine",
-            "separates": ["pressure.lag"],
-            "expect": {"pressure.lag": "a slope at once"},
-        },
-        "warnings": ["one frame is missing"],
-    }
+BEFORE, AFTER, CALIBRATED, FLOOR = (rms("kPa", pressure=value) for value in (2.0, 1.0, 0.8, 0.2))
+NAMED = verdict(
+    "named",
+    effect("pressure.dead_time", confidence=0.9, delay=(0.06, 0.05, 0.07, "s")),
+    stage="pressure",
+    share={"pressure": 1.0},
+    gaps=gap(BEFORE, AFTER, FLOOR, calibrated=CALIBRATED),
+    next_experiment=NextExperiment(
+        excitation="pressure-multisine", separates=("pressure.lag",), expect={"pressure.lag": "a slope at once"}
+    ),
+    warnings=("one frame is missing",),
 )
 WHOLE = Model(effects={"arm.stiffness": {"scale": 0.02}})
 UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})

@@ -20,31 +20,23 @@ from softarm.daemon.api.status import Ages
 from softarm.daemon.control.records import ActiveEvent, Mode, Observed
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning import session
-from softarm.drivers.twin.dryve import DryveDevice, DryveServer
-from softarm.drivers.twin.faults import Faults
-from softarm.schemas.config import DryveRail
 from softarm.schemas.policy import Observation
 from tests.cli.invoke import invoke
+from tests.drivers.rail.commissioning.conftest import TwinWorld
 from tests.processes import free_port
 
 
-class Bench:
+class Bench(TwinWorld):
     """The twin's drive on a TCP port, a cart that moves during pauses, and their configuration."""
 
     def __init__(self, folder: Path) -> None:
-        self.now_ns = 1_000_000_000
-        self.drive = DryveDevice(DryveRail())
-        self.server = DryveServer("127.0.0.1", 0, self.drive, Faults(self.clock), self.clock)
-        self.position_m = 0.0
+        super().__init__()
         self.api_port = free_port()
         self.file = folder / "arm.yaml"
         self.folder = folder
         self.on_the_way: Any = lambda: None
         self.hand: Any = None  # where the cart is pushed to, by the time
         self.drive.power_cycle()
-
-    def clock(self) -> int:
-        return self.now_ns
 
     def push(self, reach_m: float = 0.3) -> None:
         """Push the cart of a homed axis from end to end repeatedly."""
@@ -58,13 +50,11 @@ class Bench:
             f"recorder:\n  directory: {self.folder}\napi:\n  port: {self.api_port}\n"
         )
 
-    def pause(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
-        speed_m_s = self.drive.target_velocity_m_s
-        self.position_m += speed_m_s * seconds
+    def move(self, seconds: float) -> None:
         if self.hand is not None:
-            self.position_m = self.hand(self.now_ns * 1e-9)
-        self.drive.sense(self.position_m, speed_m_s)
+            self.put(self.hand(self.now_ns * 1e-9))
+        else:
+            super().move(seconds)
         if self.drive.reference.searching:
             self.on_the_way()
 
@@ -163,11 +153,6 @@ def test_ctrl_c_brakes_and_reports_the_state(bench: Bench) -> None:
     assert bench.drive.state is DriveState.READY
     assert bench.position_m > -0.02
     assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_a_fault_during_homing_is_reported(bench: Bench) -> None:
-    bench.on_the_way = lambda: bench.position_m < -0.01 and bench.drive.trip(0x8611)
-    bench.refuses("home: the drive reports E11 following error (0x8611)", "home", "--yes")
 
 
 def test_with_a_relay_homing_waits_for_di7(bench: Bench) -> None:

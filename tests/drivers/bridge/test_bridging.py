@@ -1,7 +1,6 @@
 """Frames from a NatNet server through the bridge to the daemon's driver, over real sockets and Zenoh."""
 
 import socket
-import threading
 import time
 from typing import Any
 
@@ -21,38 +20,10 @@ from softarm.drivers.twin.motive import IDS, Motive, bodies_of
 from softarm.schemas.bridge import Bridge, Listener, Marked, Marks, Room
 from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
+from tests.drivers.bridge.streaming import Streaming
 
 ROOM = Room(up="y", yaw_rad=0.4, tilt_rad=0.01, origin_m=(1.2, 0.1, -0.7))
 POSES = {name: Pose(0.1 + 0.01 * i, 0.965 - 0.0885 * i, 0.05 * i) for i, name in enumerate(BODY_NAMES)}
-
-
-class Streaming:
-    """Server that streams a still arm 200 times a second and records the time of each frame."""
-
-    def __init__(self, server: Motive, exposed: bool) -> None:
-        self.taken: dict[int, int] = {}
-        self.poses = dict(POSES)
-        self._server, self._exposed = server, exposed
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def __enter__(self) -> "Streaming":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        number = 0
-        while not self._ended.wait(0.005):
-            number += 1
-            taken_ns = time.monotonic_ns() - 8_000_000
-            taken = self._server.ticks(taken_ns)
-            stamps = (taken if self._exposed else 0, taken + motive.CLOCK_HZ // 200, self._server.ticks())
-            self.taken[number] = taken_ns
-            self._server.stream(motive.frame(self._server.version, number, bodies_of(Plane(ROOM), self.poses), stamps))
 
 
 def config(server: Motive, **changes: Any) -> Bridge:
@@ -87,7 +58,11 @@ async def test_the_daemon_receives_the_servers_frames(
 
     publisher.open()
     try:
-        with server, Streaming(server, exposed) as streaming, Client(setup, "127.0.0.1", lines.append) as client:
+        with (
+            server,
+            Streaming(server, dict(POSES), ROOM, exposed) as streaming,
+            Client(setup, "127.0.0.1", lines.append) as client,
+        ):
             bridging = Bridging(setup, client, publisher, lines.append)
             async with running(source):
 
@@ -114,7 +89,7 @@ def test_an_independent_client_receives_the_servers_frames() -> None:
     """Use the package natnet in unicast: its CONNECT has five bytes, and it sends a keep-alive at every poll."""
     frames: list[Any] = []
     models: list[Any] = []
-    with Motive((3, 1)) as server, Streaming(server, True):
+    with Motive((3, 1)) as server, Streaming(server, dict(POSES), ROOM):
         theirs = NatNetClient("127.0.0.1", "127.0.0.1", command_port=server.port, use_multicast=False)
         theirs.on_data_frame_received_event.handlers.append(frames.append)
         theirs.on_data_description_received_event.handlers.append(models.append)
@@ -145,7 +120,7 @@ def test_datagrams_from_other_senders_are_counted_and_ignored() -> None:
 
 def test_an_inspection_lists_streamed_and_missing_bodies() -> None:
     marks = Marks(cart=Marked(rigid_body="Wagen"), link4=Marked(rigid_body=IDS["link4"]), link2=None)
-    with Motive() as server, Streaming(server, True) as streaming:
+    with Motive() as server, Streaming(server, dict(POSES), ROOM) as streaming:
         streaming.poses["link3"] = Pose(0, 0, 0, tracked=False)
         with Client(config(server, bodies=marks), "127.0.0.1", lambda text: None) as client:
             found = look_at(config(server, bodies=marks), client, 10.0)

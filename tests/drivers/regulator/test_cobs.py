@@ -42,11 +42,19 @@ def test_frames_survive_any_splitting_of_the_stream(bodies: list[bytes], data: s
     assert deframer.dropped == 0
 
 
-def test_the_frame_after_noise_is_received() -> None:
+@pytest.mark.parametrize(
+    ("line", "bodies", "dropped"),
+    [
+        (b"\x07noise without end\0" + frame(b"hello"), [b"hello"], 1),
+        (b"\0\0" + frame(b"hello") + b"\0" + frame(b"again"), [b"hello", b"again"], 0),
+        (frame(b""), [], 1),
+    ],
+    ids=["noise", "zeros", "an empty frame"],
+)
+def test_noise_is_dropped_and_zeros_between_frames_are_ignored(line: bytes, bodies: list[bytes], dropped: int) -> None:
     deframer = Deframer()
-    assert deframer.feed(b"\x07noise without end") == []
-    assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
-    assert deframer.dropped == 1
+    assert deframer.feed(line) == bodies
+    assert deframer.dropped == dropped
 
 
 def test_noise_without_a_zero_does_not_accumulate() -> None:
@@ -80,18 +88,6 @@ def test_the_longest_frame_passes_whole_or_in_pieces_and_one_byte_more_does_not(
         assert deframer.dropped == 0
     deframer = Deframer()
     assert deframer.feed(too_long) == []
-    assert deframer.dropped == 1
-
-
-def test_zeros_between_frames_are_ignored() -> None:
-    deframer = Deframer()
-    assert deframer.feed(b"\0\0" + frame(b"hello") + b"\0" + frame(b"again")) == [b"hello", b"again"]
-    assert deframer.dropped == 0
-
-
-def test_an_empty_frame_is_noise() -> None:
-    deframer = Deframer()
-    assert deframer.feed(frame(b"")) == []
     assert deframer.dropped == 1
 
 

@@ -11,19 +11,6 @@ from softarm.schemas.config import SerialRegulator
 from tests.processes import until
 
 
-class Board(TeensyDevice):
-    """Board that records its answers."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.states: list[bytes] = []
-
-    def receive(self, data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
-        answer = super().receive(data, now_ns, pressure_kpa)
-        self.states.append(answer)
-        return answer
-
-
 class Served(TeensyPort):
     """Port that is opened and closed by coroutines."""
 
@@ -35,10 +22,10 @@ class Served(TeensyPort):
 
 
 def test_a_held_relay_sends_disarmed_commands(tmp_path: Path, served: Any) -> None:
-    device, config = Board(), SerialRegulator(port=str(tmp_path / "regulator"))
+    device, config = TeensyDevice(), SerialRegulator(port=str(tmp_path / "regulator"))
     port = Served(Path(config.port), device, Faults(time.monotonic_ns), time.monotonic_ns, lambda: 0.0)
     with served(port), Relay(config) as relay:
-        until(lambda: relay.hold() or (relay.problem() is None and len(device.states) >= 5))
+        until(lambda: relay.hold() or (relay.problem() is None and device.accepted_sequence >= 5))
         assert not device.armed
         assert not device.faults
 
