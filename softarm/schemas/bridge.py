@@ -52,12 +52,15 @@ class Marks(Strict):
     link4: Marked | None = Marked()
     link5: Marked = Marked()
 
+    @property
+    def used(self) -> dict[str, Marked]:
+        """Return the bodies that are not left out, in the order of `BODY_NAMES`."""
+        return {name: mark for name, mark in self if mark is not None}
+
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         taken: dict[str | int, str] = {}
-        for name, mark in self:
-            if mark is None:
-                continue
+        for name, mark in self.used.items():
             body = name if mark.rigid_body is None else mark.rigid_body
             if body in taken:
                 raise ValueError(f"bodies.{name}.rigid_body is {body!r}, which is {taken[body]} already: name another")

@@ -66,7 +66,6 @@ def calibrate(
     from softarm.drivers.bridge.calibration import calibrate as calculate
     from softarm.drivers.bridge.client import Client
     from softarm.drivers.bridge.gathering import Gathering, gather
-    from softarm.schemas.messages import BODY_NAMES
 
     config, address = settings(server, config_file)
     if out.exists() and not replace:
@@ -77,7 +76,7 @@ def calibrate(
             "without a terminal, name the end of the rail where the last push stops: --end +y or --end -y"
         )
     leaves(NOTHING)
-    gathering = Gathering([name for name in BODY_NAMES if getattr(config.bodies, name) is not None], middle)
+    gathering = Gathering(tuple(config.bodies.used), middle)
     warn("let the arm hang still, drive off and vented" + (", the cart in the middle of the rail" if middle else ""))
     with Client(config, address, warn) as client, bar("calibrating", None) as shown:
         begin = partial(_next, config, gathering, middle)

@@ -99,7 +99,7 @@ class Bridging:
         self._view = View(config.room, config.bodies)
         self._unnamed: tuple[str, ...] = ()
         self._recent: deque[tuple[int, int]] = deque()
-        self._lost = {name: _Lost() for name in BODY_NAMES if getattr(config.bodies, name) is not None}
+        self._lost = {name: _Lost() for name in config.bodies.used}
         self._problem = _Problem()
         self._minute = (clock(), self._figures())
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.drivers.bridge.frame import Plane, level, product
 from softarm.drivers.bridge.natnet import Body, Quaternion, Vector
@@ -20,7 +21,7 @@ from softarm.schemas.messages import BODY_NAMES, Pose
 from softarm.schemas.model import Arm
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
-Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+Array = NDArray[np.float64]
 
 ARM = Arm()
 HINGE_Z_M = ARM.base_height_m
@@ -181,7 +182,7 @@ def calibrate(
 
 def check_rest(rest: Sequence[Sample], marks: Marks) -> tuple[dict[str, Hanging], Literal["y", "z"]]:
     """Return the poses at rest and the vertical axis. Raises CalibrationError if a push cannot succeed."""
-    wanted = [name for name in BODY_NAMES if getattr(marks, name) is not None]
+    wanted = list(marks.used)
     _refuse(_untracked(rest, wanted, "at rest"))
     hang = {name: _at_rest(rest, name) for name in wanted}
     _refuse(_restless(hang))
@@ -276,10 +277,7 @@ def _line(path: Array, up: str) -> Line:
     along = np.linalg.svd(path - middle, full_matrices=False)[2][0]
     pieces = path
     for _ in range(3):
-        away = path - middle
-        steps = away @ along
-        aside = np.linalg.norm(away - steps[:, None] * along, axis=1)
-        near = aside < max(3 * float(np.median(aside)), 0.02)
+        steps, near = _along(path, middle, along)
         low, high = np.quantile(steps[near], [0.005, 0.995])
         edges = np.linspace(low, high, BINS + 1)
         where = np.digitize(steps, edges[1:-1])
@@ -291,12 +289,10 @@ def _line(path: Array, up: str) -> Line:
             break
         middle = np.mean(pieces, axis=0)
         along = np.linalg.svd(pieces - middle, full_matrices=False)[2][0]
-    steps = (path - middle) @ along
+    steps, near = _along(path, middle, along)
     # At the end the cart is at its last end.
     if steps[-max(1, len(steps) // 50) :].mean() < 0:
         along, steps = -along, -steps
-    aside = np.linalg.norm(path - middle - steps[:, None] * along, axis=1)
-    near = aside < max(3 * float(np.median(aside)), 0.02)
     ends = _ends(steps[near])
     rests = pieces - middle - ((pieces - middle) @ along)[:, None] * along
     worst = int(np.argmax(np.linalg.norm(rests, axis=1)))
@@ -306,6 +302,14 @@ def _line(path: Array, up: str) -> Line:
     beside = math.sqrt(max(0.0, crooked**2 - height**2))
     at = float((pieces[worst] - middle) @ along)
     return Line(middle, along, ends, crooked, (at, beside, height))
+
+
+def _along(path: Array, middle: Array, along: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return positions along a line, and which are no outliers."""
+    away = path - middle
+    steps = away @ along
+    aside = np.linalg.norm(away - steps[:, None] * along, axis=1)
+    return steps, aside < max(3 * float(np.median(aside)), 0.02)
 
 
 def _ends(steps: Array) -> tuple[float, float]:

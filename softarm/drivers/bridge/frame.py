@@ -66,14 +66,14 @@ class View:
 
     def __init__(self, room: Room, marks: Marks) -> None:
         self.plane = Plane(room)
-        self._marks: dict[str, Marked | None] = {name: getattr(marks, name) for name in BODY_NAMES}
+        self._marks = marks.used
 
     def of(self, bodies: Iterable[Body], names: Mapping[int, str]) -> tuple[Pose, ...]:
         """Return the poses of a frame, in the order of `BODY_NAMES`; `names` are those of the streaming ids."""
         found = {names[body.id]: body for body in bodies if body.tracked and body.id in names}
         poses = []
-        for name, mark in self._marks.items():
-            body = found.get(name)
+        for name in BODY_NAMES:
+            body, mark = found.get(name), self._marks.get(name)
             poses.append(LOST if body is None or mark is None else self.pose(body, mark))
         return tuple(poses)
 
@@ -94,10 +94,7 @@ def names_of(marks: Marks, ids: Mapping[str, int]) -> tuple[dict[int, str], tupl
     """Return the body names by streaming id, and the bodies that the server, with its `ids`, does not stream."""
     names: dict[int, str] = {}
     missing = []
-    for name in BODY_NAMES:
-        mark: Marked | None = getattr(marks, name)
-        if mark is None:
-            continue
+    for name, mark in marks.used.items():
         number = number_of(name, mark, ids)
         if number is None:
             missing.append(name)

@@ -61,10 +61,7 @@ def _rows(
     ids = inlet.conversation.ids
     names = {number: name for name, number in ids.items()}
     rows, used = [], set()
-    for name in BODY_NAMES:
-        mark = getattr(config.bodies, name)
-        if mark is None:
-            continue
+    for name, mark in config.bodies.used.items():
         number = number_of(name, mark, ids)
         used.add(number)
         share = seen.get(number, 0.0) if number is not None else 0.0
