@@ -1,21 +1,11 @@
 """Events of the daemon, as the API, the log and `softarm events` report them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
+# Lost and found: a device stopped or started answering. Event: of the failsafe table, became active.
 EventKind = Literal["request", "mode", "stop", "goal", "lost", "found", "event"]
-
-KINDS: Mapping[EventKind, str] = {
-    "request": "a request and its result",
-    "mode": "a change of mode",
-    "stop": "an emergency stop",
-    "goal": "the end of a goal",
-    "lost": "a device stopped answering",
-    "found": "a device started answering",
-    "event": "an event of the failsafe table became active",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,7 +124,7 @@ class Conversation:
             return None
         match message:
             case Server():
-                self._accept_server(message, now_ns)
+                self._accept_server(message)
             case natnet.Models(ids):
                 self.ids, self.wants_names = dict(ids), False
             case natnet.Echo(stamp, ticks):
@@ -139,7 +139,7 @@ class Conversation:
         self._due[name] = now_ns + period_ns
         return True
 
-    def _accept_server(self, server: Server, now_ns: int) -> None:
+    def _accept_server(self, server: Server) -> None:
         if server == self.server:
             return
         app, version = ".".join(map(str, server.application)), ".".join(map(str, server.natnet[:2]))

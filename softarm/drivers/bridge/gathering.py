@@ -39,8 +39,6 @@ class Gathering:
         self._wanted = tuple(wanted)
         self._enough_m = PUSH_MIN_M if middle_here else WHOLE_M
         self._recent: deque[Sample] = deque()
-        self._begun_ns: int | None = None
-        self._seen: set[str] = set()
         # The two positions of the cart that are farthest apart so far.
         self._ends: tuple[Vector, Vector] | None = None
 
@@ -49,7 +47,6 @@ class Gathering:
         if self.phase is Phase.DONE or (self._recent and t_ns - self._recent[-1].t_ns < STEP_NS):
             return
         sample = Sample(t_ns, dict(bodies))
-        self._seen |= bodies.keys()
         self._recent.append(sample)
         window = REST_NS if self.phase is Phase.RESTING else STAND_NS
         whole = t_ns - self._recent[0].t_ns >= window

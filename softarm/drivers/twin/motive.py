@@ -32,7 +32,6 @@ from softarm.schemas.messages import BODY_NAMES, Pose
 CLOCK_HZ = 10_000_000
 # A client that sends nothing for so long receives no more frames.
 FORGET_S = 5.0
-GROUP = "239.255.42.99"
 IDS = {name: number for number, name in enumerate(BODY_NAMES, 1)}
 
 
@@ -112,7 +111,6 @@ class Motive:
     """NatNet server with a command and a data socket, like Motive's: `with Motive() as motive`.
 
     Frames go to all connected clients or to the multicast group.
-    `answers = False` makes the server silent.
     """
 
     def __init__(
@@ -127,7 +125,6 @@ class Motive:
     ) -> None:
         """Create the server; its clock runs `rate` times as fast as CLOCK_MONOTONIC and was 0 at `began_ns`."""
         self.version, self.group = version, group
-        self.answers = True
         self._rate, self._began_ns = rate, began_ns
         self._commands, self._data = _bound(host, port), _bound(host, data_port)
         self._data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
@@ -172,10 +169,6 @@ class Motive:
             else:
                 self._data.sendto(datagram, client)
 
-    def forget(self) -> None:
-        """Forget all clients, as a restarted server does."""
-        self._clients.clear()
-
     def _serve(self) -> None:
         self._commands.settimeout(0.05)
         while not self._stopping.is_set():
@@ -183,7 +176,7 @@ class Motive:
                 datagram, client = self._commands.recvfrom(natnet.LONGEST)
             except TimeoutError:
                 continue
-            if self.answers and len(datagram) >= 4:
+            if len(datagram) >= 4:
                 self._answer(datagram, client)
 
     def _answer(self, datagram: bytes, client: tuple[str, int]) -> None:

@@ -38,13 +38,12 @@ class _Phase(Enum):
 class Search:
     """One homing of a configured drive in homing mode, from disabled to disabled.
 
-    `failure` is the cause and the next step of a failed homing; `started` is true once 001Fh was returned.
+    `failure` is the cause and the next step of a failed homing.
     """
 
     def __init__(self, speed_m_s: float, creep_m_s: float, method: int | None, begun_ns: int) -> None:
         """Begin a search at a speed towards the switch and a creep towards the zero; `method` is the drive's."""
         self.failure: tuple[str, str] | None = None
-        self.started = False
         self._speed_m_s, self._method = speed_m_s, method
         longest_s = PATH_MAX_M / speed_m_s + 0.1 * RAIL_TRAVEL_M / creep_m_s + 2 * STILL_MAX_S
         self._due_ns = begun_ns + round((ENABLE_MAX_S + longest_s) * 1e9)
@@ -90,7 +89,6 @@ class Search:
             self._phase, self._since_ns, self._moved_ns = _Phase.SEARCH, seen.t_ns, seen.t_ns
             self._renewed = not seen.statusword & StatusWord.HOMING_ATTAINED
             self._last_m = seen.position_m
-            self.started = True
             return ControlWord.START_HOMING
         if seen.state is self._answered:
             return None
