@@ -11,7 +11,7 @@ import pytest
 
 from softarm.common import processes
 from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar, left_s
-from tests.processes import until
+from tests.processes import gone, until
 
 ROOT = Path(__file__).parents[2]
 # A program with a busy and a waiting worker; each writes its process number.
@@ -125,19 +125,11 @@ def test_workers_end_with_the_program_that_started_them(tmp_path, kill, end):
             until(lambda: len(list(folder.iterdir())) == 2)
             kill(program.pid, end)
             said = program.communicate(timeout=60)[1]
-            until(lambda: not any(runs(path.name) for path in folder.iterdir()))
+            until(lambda: all(gone(int(path.name)) for path in folder.iterdir()))
         finally:
             program.kill()
     assert program.returncode != 0
     assert said.count("Traceback") <= 1  # the program's own
-
-
-def runs(pid):
-    """One that has ended may still stand in the list, as a zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def test_a_short_bar_without_a_terminal_prints_nothing(capsys):

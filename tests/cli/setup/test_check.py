@@ -72,13 +72,6 @@ def test_every_mistake_is_printed_with_its_line(check, text, lines):
         assert printed.startswith(f"{path}{start}")
 
 
-def test_the_default_policy_is_checked_too(check, monkeypatch, tmp_path):
-    monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path / "empty")
-    path, result = check("")
-    assert result.exit_code == 1
-    assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")
-
-
 @pytest.mark.parametrize("verb", [["check"], ["run", "--simulated", "--config"], ["twin", "--config"]])
 def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
     path = tmp_path / "arm.yaml"
@@ -181,13 +174,6 @@ def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
     result = invoke("diagnose", rig)
     assert result.exit_code == 1
     assert one in result.stderr
-
-
-def test_the_data_option_requires_a_stage_file(check, tmp_path):
-    path, _ = check("")
-    result = invoke("check", path, "--data", tmp_path)
-    assert result.exit_code == 2
-    assert "--data is for the data files of a stage.yaml" in result.stderr
 
 
 def test_check_prints_limits_and_mistakes_as_json(check, tmp_path):

@@ -24,6 +24,7 @@ from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 from tests.drivers.rail.conftest import Drive, Server
+from tests.processes import gone
 
 pytestmark = pytest.mark.anyio
 HEAVY = {"numpy", "numba", "pydantic", "asyncio", "zenoh", "logging", "json", "yaml", "dataclasses", "inspect"}
@@ -107,14 +108,6 @@ async def moves(drive: Drive) -> bool:
                 drive.move()
                 await asyncio.sleep(0.002)
     return drive.target_velocity_m_s != 0
-
-
-def gone(process: int) -> bool:
-    """Return whether a process has ended, even if it is not reaped."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except FileNotFoundError:
-        return True
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT, signal.SIGHUP])
