@@ -238,7 +238,7 @@ def test_each_controlword_leads_to_the_state_on_the_page(row: list[str]) -> None
 
 
 class RecordingDrive(DryveDevice):
-    """Drive that keeps its set-point without a master and records its requests."""
+    """Drive that records its requests."""
 
     def __init__(self) -> None:
         super().__init__(RAIL)
@@ -247,9 +247,6 @@ class RecordingDrive(DryveDevice):
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
         self.asked.append(telegram)
         return super().answer(telegram, now_ns)
-
-    def quick_stop(self) -> None:
-        pass
 
     def undergo(self, event: str) -> None:
         """Apply the event of a row without telegrams."""
@@ -275,6 +272,7 @@ def test_the_simulated_drive_answers_as_on_the_page() -> None:
 async def test_the_driver_sends_the_pages_telegrams_and_no_others(until: Any, running: Any) -> None:
     drive, faults = RecordingDrive(), Faults(lambda: 0)
     server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
+    faults.start("rail_keeps_going")
     drive.sense(0.0, 0.0)
     await server.open()
     axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), 20)

@@ -23,16 +23,12 @@ from softarm.schemas.config import DryveRail
 
 
 class Drive(DryveDevice):
-    """Drive that records its requests.
-
-    `script` may answer in its place, `coasts` keeps its velocity, and `keeps_set_point` ignores a lost master.
-    """
+    """Drive that records its requests; `script` may answer in its place, and `coasts` keeps its velocity."""
 
     def __init__(self, config: DryveRail) -> None:
         super().__init__(config)
         self.requests: list[tuple[ModbusRequest, DriveState]] = []
         self.links: list[list[ModbusRequest]] = []
-        self.keeps_set_point = False
         self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
         self.position_m = self.velocity_m_s = 0.0
         self.coasts = False
@@ -47,10 +43,6 @@ class Drive(DryveDevice):
     def move(self) -> None:
         self.velocity_m_s = self.velocity_m_s if self.coasts else self.target_velocity_m_s
         self.sense(self.position_m, self.velocity_m_s)
-
-    def quick_stop(self) -> None:
-        if not self.keeps_set_point:
-            super().quick_stop()
 
     def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
         return [

@@ -28,7 +28,7 @@ def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
 async def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(opened: Any, kind: str) -> None:
     async with opened(timeout_s=0.02) as bench:
-        bench.drive.keeps_set_point = True
+        bench.faults.start("rail_keeps_going")
         await bench.enable()
         bench.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
         await bench.write_until(lambda: len(bench.drive.links) > 3, True, 0.3)
@@ -88,7 +88,7 @@ async def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
 ) -> None:
     monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 60.0))
 
-    bench.drive.keeps_set_point = True
+    bench.faults.start("rail_keeps_going")
     await bench.enable(0.3)
     began = len(bench.drive.requests)
 

@@ -57,7 +57,7 @@ asyncio.run(main())
 def drive() -> Drive:
     """Return a drive that keeps its set-point without a master."""
     drive = Drive(DryveRail(host="127.0.0.1"))
-    drive.keeps_set_point = True
+    drive.keeps_going = True
     return drive
 
 
