@@ -51,11 +51,8 @@ def test_check_accepts_a_valid_model_and_reports_every_mistake(tmp_path: Path) -
     assert result.exit_code == 1
     assert result.stdout == ""
     first, second = result.stderr.splitlines()
-    assert (
-        first == f"{path}:2: effects.rail.dely: unknown effect; did you mean rail.delay? "
-        "`python -m softarm.simulator.effects_page` lists them all"
-    )
-    assert second.startswith(f"{path}:3: effects.arm.tilt.angle: is 2; allowed -0.2 to 0.2 rad; if you meant 2 degrees")
+    assert first.startswith(f"{path}:2: effects.rail.dely: unknown effect; did you mean rail.delay?")
+    assert second.startswith(f"{path}:3: effects.arm.tilt.angle: is 2; allowed -0.2 to 0.2 rad")
     result = run("check", "no-pressure-lag")
     assert result.exit_code == 0
     assert result.stdout.startswith("no-pressure-lag: valid; 5 links; effects: rail.acceleration_limit, rail.delay")

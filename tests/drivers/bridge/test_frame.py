@@ -84,8 +84,3 @@ def test_bodies_are_found_by_name_or_by_id():
     names, missing = names_of(marks, {"Wagen": 7, "link1": 8, "link2": 9, "link5": 10})
     assert names == {7: "cart", 8: "link1", 40: "link2", 10: "link5"}
     assert missing == ("link4",)
-
-
-def test_a_rigid_body_belongs_to_one_body_only():
-    with pytest.raises(ValueError, match=r"bodies.link2.rigid_body is 'link1', which is link1 already"):
-        Marks(link2=Marked(rigid_body="link1"))

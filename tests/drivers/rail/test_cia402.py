@@ -1,6 +1,6 @@
 """State machine of the drive, decoded from its statusword."""
 
-from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
+from softarm.drivers.rail.cia402 import DriveState, decode_state, next_controlword
 
 # The standard's table: low byte of the statusword, x for bits that do not encode the state.
 STANDARD = {
@@ -29,28 +29,6 @@ def test_every_statusword_decodes_as_in_the_standards_table() -> None:
         states = [state for pattern, state in STANDARD.items() if fits(low_byte, pattern)]
         for upper_byte in range(256):
             assert [decode_state(upper_byte << 8 | low_byte)] == (states or [DriveState.INVALID])
-
-
-def bits(word: int) -> set[int]:
-    return {bit for bit in range(16) if word >> bit & 1}
-
-
-def test_bits_of_the_statusword_are_those_of_the_manual() -> None:
-    assert bits(StatusWord.REMOTE) == {9}
-    assert bits(StatusWord.TARGET_REACHED) == {10}
-    assert bits(StatusWord.AT_REST) == bits(StatusWord.HOMING_ATTAINED) == {12}
-    assert bits(StatusWord.HOMING_ERROR) == {13}
-
-
-def test_controlwords_have_the_standards_bits() -> None:
-    switch_on, voltage, no_quick_stop, operate, start, reset, halt = 0, 1, 2, 3, 4, 7, 8
-    assert bits(ControlWord.SHUTDOWN) == {voltage, no_quick_stop}
-    assert bits(ControlWord.SWITCH_ON) == {voltage, no_quick_stop, switch_on}
-    assert bits(ControlWord.ENABLE_OPERATION) == {voltage, no_quick_stop, switch_on, operate}
-    assert bits(ControlWord.ENABLE_AND_HALT) == {voltage, no_quick_stop, switch_on, operate, halt}
-    assert bits(ControlWord.START_HOMING) == {voltage, no_quick_stop, switch_on, operate, start}
-    assert bits(ControlWord.RESET_AND_HALT) == {halt}
-    assert bits(ControlWord.FAULT_RESET) == {reset}
 
 
 def test_each_state_has_one_controlword_and_no_word_resets_a_fault_or_ends_a_quick_stop() -> None:
