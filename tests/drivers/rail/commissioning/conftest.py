@@ -7,13 +7,16 @@ from typing import Any
 
 import pytest
 
+from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning.session import DriveSession
 from softarm.drivers.rail.settings import Settings, settings_of
-from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
+from softarm.drivers.twin.dryve import LIMIT_SWITCH
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 from softarm.schemas.robot import RAIL_TRAVEL_M
+from tests.drivers.rail.conftest import Drive as RecordingDrive
+from tests.drivers.rail.conftest import Server
 from validation.outside.body import Body
 from validation.outside.drive import Drive, Port
 from validation.outside.robot import STEP_S, Robot
@@ -24,15 +27,12 @@ FINE_S = 0.001
 class World:
     """Clock and cart of a test; the tool waits by `pause`.
 
-    `telegrams` are the requests, `words` the controlwords among them. The functions in `at` are called as time passes,
-    until they return True.
+    The functions in `at` are called as time passes, until they return True.
     """
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000
         self.port = 0
-        self.telegrams: list[bytes] = []
-        self.words: list[int] = []
         self.at: list[Callable[[], bool]] = []
         self.speeds_m_s: list[float] = []
 
@@ -44,12 +44,6 @@ class World:
             self.now_ns += round(FINE_S * 1e9)
             self.move(FINE_S)
             self.at = [each for each in self.at if not each()]
-
-    def record(self, telegram: bytes) -> None:
-        """Record a request."""
-        self.telegrams.append(telegram)
-        if telegram[12:14] == b"\x60\x40" and telegram[9]:
-            self.words.append(int.from_bytes(telegram[19:], "little"))
 
     def move(self, seconds: float) -> None:
         raise NotImplementedError
@@ -70,20 +64,15 @@ class TwinWorld(World):
 
     def __init__(self) -> None:
         super().__init__()
-        self.drive = DryveDevice(DryveRail())
-        self.faults = Faults(self.clock)
-        self.server = DryveServer("127.0.0.1", 0, self.drive, self.faults, self.clock)
-        self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
+        self.drive = RecordingDrive(DryveRail())
+        self.server = Server("127.0.0.1", 0, self.drive, Faults(self.clock), self.clock)
         self.held = False
         self._position_m = 0.0
-        self._answer = self.drive.answer
-        self.drive.answer = self.answer  # type: ignore[method-assign]
 
-    def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.record(telegram)
-        if self.script is None:
-            return self._answer(telegram, now_ns)
-        return self.script(telegram, lambda: self._answer(telegram, now_ns))
+    @property
+    def words(self) -> list[int]:
+        """Return all controlwords."""
+        return self.drive.writes(dryve.CONTROLWORD)
 
     @property
     def position_m(self) -> float:
@@ -109,11 +98,14 @@ class OutsideWorld(World):
         super().__init__()
         self.drive = Drive(0.02, keep=True, friction_n=3.0, unreferenced_at_m=start_m)
         self.robot = Robot(Body(cart_m=start_m), self.drive, bound_m=0.3)
+        self.words: list[int] = []
         self._answer = self.drive.answer
         self.drive.answer = self.answer  # type: ignore[method-assign]
 
     def answer(self, telegram: bytes, now: float) -> bytes:
-        self.record(telegram)
+        request = dryve.decode_request(telegram)
+        if request.data is not None and request.index == dryve.CONTROLWORD.index:
+            self.words.append(int.from_bytes(request.data, "little"))
         return self._answer(telegram, self.now_ns * 1e-9)
 
     @property
