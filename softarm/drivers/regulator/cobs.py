@@ -13,19 +13,15 @@ _RUN_MAX = 254
 
 def stuff(data: bytes) -> bytes:
     """Encode `data` without zero bytes."""
-    out = bytearray()
-    runs = data.split(b"\x00")
-    for last, run in ((i == len(runs) - 1, r) for i, r in enumerate(runs)):
-        while len(run) >= _RUN_MAX:
-            out.append(0xFF)
-            out += run[:_RUN_MAX]
-            run = run[_RUN_MAX:]
-            # A full run implies no zero after it.
-            if last and not run:
-                return bytes(out)
-        out.append(len(run) + 1)
-        out += run
-    return bytes(out)
+    blocks: list[bytes] = []
+    for run in data.split(b"\x00"):
+        *full, rest = (run[at : at + _RUN_MAX] for at in range(0, len(run) + 1, _RUN_MAX))
+        blocks += [b"\xff" + each for each in full]
+        blocks.append(bytes((len(rest) + 1,)) + rest)
+    # A full run implies no zero after it, so nothing follows one at the end.
+    if full and not rest:
+        blocks.pop()
+    return b"".join(blocks)
 
 
 def unstuff(data: bytes) -> bytes:
