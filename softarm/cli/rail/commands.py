@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.rail import sources as rail_sources
 from softarm.cli.rail.centring import pushed, report_centre
-from softarm.cli.rail.exclusive import only_one, relay_held
-from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, report_homed, searched
+from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, relay_held, report_homed, searched
+from softarm.cli.rail.sources import only_one, source
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, load_config, token_of, token_option, url_option
@@ -101,10 +100,8 @@ def centre(config_file: Path, seconds: float | None, write: bool, url: str | Non
 
     leaves("nothing was written, and the drive did not move")
     config = load_config(config_file)
-    with rail_sources.source(config, config_file, url, token_of(token_file)) as source:
+    with source(config, config_file, url, token_of(token_file)) as seen:
         end = "Enter ends it" if seconds is None else f"you have {seconds:g} s"
-        click.echo(
-            f"Push the cart by hand, slowly, until it stops at one end, then at the other; {end}. ({source.name})"
-        )
-        samples = pushed(source, seconds)
+        click.echo(f"Push the cart by hand, slowly, until it stops at one end, then at the other; {end}. ({seen.name})")
+        samples = pushed(seen, seconds)
     report_centre(judge(samples, config.drivers.rail), config, config_file, write)

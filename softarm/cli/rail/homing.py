@@ -2,6 +2,8 @@
 
 import signal
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,18 @@ if TYPE_CHECKING:
 RELAY_S = 4.0  # the board closes the relay a second after the first command
 WAIT_S = 0.02
 CREEP = 0.2  # share of the speed, towards the zero after the switch was found
+
+
+@contextmanager
+def relay_held(config: "Config", wanted: bool) -> Iterator[Callable[[], object]]:
+    """Yield a function that keeps the board's relay closed while it is called; it does nothing if not wanted."""
+    if not wanted:
+        yield lambda: None
+        return
+    from softarm.drivers.rail.commissioning.relay import Relay
+
+    with Relay(config.drivers.regulator) as relay:
+        yield relay.hold
 
 
 def enabled(drive: "DriveSession", relay: bool) -> None:

@@ -1,4 +1,4 @@
-"""Samples for `softarm rail centre`, from the running daemon or from the drive."""
+"""Exclusive access to the drive, and samples for `softarm rail centre` from the running daemon or from the drive."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from softarm.cli.rail.exclusive import only_one
 from softarm.cli.shared.client import Remote, url_of
 from softarm.cli.shared.errors import fail
 
@@ -27,6 +26,30 @@ class Source(NamedTuple):
     pause: Callable[[float], object]
     clock: Callable[[], int]  # ns
     name: str
+
+
+@contextmanager
+def only_one(config: "Config") -> Iterator[None]:
+    """Keep daemons from using this axis while the context lasts; end the command if one does."""
+    from softarm.daemon.config.places import latch_path
+    from softarm.daemon.doctor.ports import is_connected
+    from softarm.daemon.stop.latch import LatchError, LatchKeeper
+
+    drive = config.drivers.rail
+    keeper = LatchKeeper(latch_path(config))
+    try:
+        keeper.start()
+    except LatchError as error:
+        fail(f"the drive has one master at a time: {error}")
+    try:
+        if is_connected(drive.host, drive.port):
+            end = "end the daemon (Ctrl-C where it runs, or `systemctl stop softarmd`), then wait 3 s"
+            fail(f"{drive.host}:{drive.port} is in use by another program, and accepts one master: {end}")
+        if keeper.left is not None:
+            click.echo(f"the robot's stop stays latched: {keeper.left}", err=True)
+        yield
+    finally:
+        keeper.stop()
 
 
 @contextmanager
