@@ -10,11 +10,7 @@ from softarm.cli.shared.errors import writing
 from softarm.cli.shared.options import FOLDER
 from softarm.cli.verbs import Verbs
 
-PURPOSES = {
-    "policy": "a policy",
-    "task": "a task to train on",
-    "source": "a source of motion capture",
-}
+PURPOSES = {"policy": "a policy", "task": "a task to train on", "source": "a source of motion capture"}
 NEXT = {
     "policy": ("softarm evaluate --policy {name}",),
     "task": ("softarm train {name} --minutes 5",),

@@ -8,8 +8,6 @@ from datetime import datetime
 
 import click
 
-from softarm.common.processes import later
-
 WIDTH = 80  # where there is no terminal
 PATIENCE_S = 2.0  # a wait longer than this is announced
 
@@ -57,6 +55,8 @@ def print_text(text: str) -> None:
 def waiting(text: str) -> Iterator[None]:
     """Print the reason for a wait to standard error: at once on a terminal, elsewhere after two seconds."""
     from rich.console import Console
+
+    from softarm.common.processes import later
 
     console = Console(stderr=True)
     if console.is_terminal:
