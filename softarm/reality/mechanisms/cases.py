@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.record import RATE_HZ, Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS, JointLaw, Robot
 
 TRIALS = ("multisine", "holds", "multisine")
@@ -81,8 +81,7 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     count = {"none": 0, "two": 2}.get(category, 1)
     table, causes = UNKNOWNS if category == "unknown" else FAULTS, []
     scales = scales_of(robot)
-    joints = random.permutation(robot.judged)[:count] if count <= len(robot.judged) else [robot.judged[0]] * count
-    for joint in map(str, joints):
+    for joint in map(str, random.permutation(robot.judged)[:count]):
         fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
         key = str(random.choice(fits))
         laws[joint] = table[key].law(laws[joint], scales[joint], strength * random.uniform(0.8, 1.25))
@@ -91,7 +90,7 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     place = folder / "data" / name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):
-        record(robot, truth, kind, DURATION_S, random).write(place / f"{kind}-{number}.csv")
+        write(record(robot, truth, kind, DURATION_S, random), place / f"{kind}-{number}.csv")
     shutil.copy(robot.model, place / "robot.xml")
     (place / "stage.yaml").write_text(stage_text(robot), encoding="utf-8")
     about: dict[str, Any] = {"case": name, "robot": robot.name, "category": category, "causes": causes}
@@ -132,15 +131,15 @@ def scales_of(robot: Robot) -> dict[str, Scale]:
     """Return the usual sizes of a robot's joints, from a recording of its model as it is."""
     import mujoco
 
-    found = record(robot, Truth({}), "multisine", 8.0, np.random.default_rng(0)).columns
+    found = record(robot, Truth({}), "multisine", 8.0, np.random.default_rng(0))
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     data = mujoco.MjData(model)
     names = [model.joint(i).name for i in range(model.njnt)]
     q = np.stack([found[f"q_{name}"] for name in names], axis=1)
     kernel = np.ones(9) / 9
     q = np.stack([np.convolve(np.convolve(x, kernel, "same"), kernel, "same") for x in q.T], axis=1)
-    v = np.gradient(q, 1 / robot.rate_hz, axis=0)
-    a = np.gradient(v, 1 / robot.rate_hz, axis=0)
+    v = np.gradient(q, 1 / RATE_HZ, axis=0)
+    a = np.gradient(v, 1 / RATE_HZ, axis=0)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     torques = np.empty_like(q)
     for k in range(len(q)):

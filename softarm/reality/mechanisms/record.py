@@ -1,6 +1,5 @@
 """Recording of a mechanism: rigid bodies by MuJoCo, actuators, friction and sensors by laws of their own."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.reality.mechanisms.robots import JointLaw, Robot
+from softarm.reality.rigs.laws import Play
 
 Array = NDArray[np.float64]
 
 STEP_S = 5e-4
+RATE_HZ = 100.0  # of commands and readings
+SLOWEST_HZ, FASTEST_HZ = 0.15, 1.6  # parts of a multisine
 GIVE = 1e-3  # turn after which dry friction has its full value (Dahl)
 GRIP = 0.05  # damping of the friction's bristles, as a share of its stiffness, s
 HARMONICS = 7
@@ -29,38 +31,21 @@ class Truth:
 
     laws: Mapping[str, JointLaw]
     masses: Mapping[str, float] = field(default_factory=dict)  # body -> factor
-    payload_kg: float = 0.0  # at the centre of the last body
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """Columns of one recording, [T] each, by name."""
-
-    columns: Mapping[str, Array]
-
-    def write(self, path: Path) -> None:
-        """Write the columns as CSV."""
-        with path.open("w", newline="", encoding="utf-8") as file:
-            out = csv.writer(file)
-            out.writerow(self.columns)
-            out.writerows([f"{x:.7g}" for x in row] for row in zip(*self.columns.values(), strict=True))
+def write(columns: Mapping[str, Array], path: Path) -> None:
+    """Write the columns of a recording as CSV."""
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, "%.7g", delimiter=",", newline="\r\n", header=",".join(columns), comments="")
 
 
-def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.random.Generator) -> Recording:
-    """Record one motion; columns are t, cmd_JOINT, and q_JOINT of every joint.
-
-    Args:
-        robot: mechanism.
-        truth: its true laws.
-        kind: "multisine" or "holds".
-        duration_s: length of the recording, s.
-        random: source of the motion and of the noise.
-    """
+def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.random.Generator) -> dict[str, Array]:
+    """Record one motion of a kind, "multisine" or "holds"; columns [T] are t, cmd_JOINT, and q_JOINT of every joint."""
     plant = _Plant(robot, truth)
-    count, each = round(duration_s * robot.rate_hz), round(1 / robot.rate_hz / STEP_S)
+    count, each = round(duration_s * RATE_HZ), round(1 / RATE_HZ / STEP_S)
     t = np.asarray(np.arange(count * each) * STEP_S, dtype=np.float64)
-    wanted = {name: _motion(kind, t, half, robot, random) for name, half in {**robot.follows, **robot.pushed}.items()}
-    carried = {name: _motion("multisine", t, half, robot, random) for name, half in robot.moved.items()}
+    wanted = {name: _motion(kind, t, half, random) for name, half in {**robot.follows, **robot.pushed}.items()}
+    carried = {name: _motion("multisine", t, half, random) for name, half in robot.moved.items()}
     rows, sent = plant.run(t, wanted, carried, each)
     columns: dict[str, Array] = {"t": t[::each]}
     columns |= {f"cmd_{name}": values for name, values in sent.items()}
@@ -69,10 +54,10 @@ def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.
         step = robot.step.get(name, 1e-3)
         noisy = values + NOISE * halves.get(name, 0.5) * random.normal(size=count)
         columns[f"q_{name}"] = np.asarray(np.round(noisy / step) * step)
-    return Recording(columns)
+    return columns
 
 
-def _motion(kind: str, t: Array, half: float, robot: Robot, random: np.random.Generator) -> Array:
+def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Array:
     """Return positions within a half range, [T]; they begin at rest in the middle."""
     rise = np.minimum(t / 1.0, 1.0)
     if kind == "holds":
@@ -86,7 +71,7 @@ def _motion(kind: str, t: Array, half: float, robot: Robot, random: np.random.Ge
             second = first + (second - first) * kept
             smooth[i] = second
         return smooth
-    frequency = np.geomspace(robot.slow_hz, robot.fast_hz, HARMONICS)
+    frequency = np.geomspace(SLOWEST_HZ, FASTEST_HZ, HARMONICS)
     size = (frequency / frequency[0]) ** -0.6
     phase = random.uniform(0, TURN, HARMONICS)
     waves = (size[:, None] * np.sin(TURN * frequency[:, None] * t + phase[:, None])).sum(axis=0)
@@ -117,7 +102,6 @@ class _Plant:
             number = model.body(body).id
             model.body_mass[number] *= factor
             model.body_inertia[number] *= factor
-        model.body_mass[model.nbody - 1] += truth.payload_kg
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def run(
@@ -139,8 +123,8 @@ class _Plant:
             q, v = data.qpos, data.qvel
             true[k] = q
             bend = np.clip(bend + STEP_S * v, -GIVE, GIVE)
-            level = dry + law["rest"] * np.exp(-((v / law["creep"]) ** 2)) + law["uneven"] * np.sign(v)
-            torque = -damping * v - law["drag"] * v * np.abs(v) - law["spring"] * q + law["torque"]
+            level = dry + law["uneven"] * np.sign(v)
+            torque = -damping * v - law["spring"] * q + law["torque"]
             torque -= level / GIVE * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
             for drive in drives:
                 torque[drive.index] += drive.step(k, wanted[drive.name], q, v, sent)
@@ -161,15 +145,10 @@ class _Plant:
     def _reading(self, name: str, q: Array) -> Array:
         """Return what the encoder shows at every step, [T]."""
         law = self.truth.laws.get(name, JointLaw())
-        late = round(law.late_s / STEP_S)
-        seen = np.concatenate((np.full(late, q[0]), q[: len(q) - late])) if late else q
         if law.play:
-            half, at, out = 0.5 * law.play, seen[0], np.empty_like(seen)
-            for i, x in enumerate(seen):
-                at = min(max(at, x - half), x + half)
-                out[i] = at
-            seen = out
-        return np.asarray(seen + law.zero + law.bent * np.sin(seen))
+            play = Play(law.play, q[0])
+            q = np.array([play.step(x) for x in q])
+        return np.asarray(q + law.bent * np.sin(q))
 
 
 class _Drive:
@@ -211,7 +190,7 @@ class _Drive:
         if not self.follows:
             torque = self.gear * self.filtered
         else:
-            error = self.filtered - (q[i] + self.law.zero)
+            error = self.filtered - q[i]
             error -= np.clip(error, -self.law.dead, self.law.dead)
             torque = self.law.stiff * self.gain * error - self.kd * v[i]
         limit = min(self.limit, self.law.limit)

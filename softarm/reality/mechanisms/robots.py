@@ -20,9 +20,6 @@ class JointLaw:
     more_viscous: float = 0.0  # N m s/rad or N s/m
     more_dry: float = 0.0  # N m or N
     more_inertia: float = 0.0
-    rest: float = 0.0  # additional friction at rest
-    creep: float = 1.0  # speed at which it has faded
-    drag: float = 0.0
     spring: float = 0.0
     torque: float = 0.0  # constant
     limit: float = float("inf")
@@ -30,8 +27,6 @@ class JointLaw:
     lag_s: float = 0.0
     dead: float = 0.0  # position errors that make no torque
     play: float = 0.0
-    zero: float = 0.0  # reading minus true position
-    late_s: float = 0.0  # readings
     cogging: float = 0.0  # amplitude of a torque with eight periods a turn
     tiring: float = 0.0  # share of the torque that is lost within a minute
     uneven: float = 0.0  # more dry friction forwards, less backwards
@@ -47,9 +42,6 @@ class Robot:
     pushed: Mapping[str, float]  # torque-controlled joint -> half range of the motion that its commands cause
     free: tuple[str, ...] = ()  # joints without an actuator
     moved: Mapping[str, float] = field(default_factory=dict)  # joint moved from outside -> half range
-    rate_hz: float = 100.0
-    slow_hz: float = 0.15  # of the slowest part of the motion
-    fast_hz: float = 1.6
     step: Mapping[str, float] = field(default_factory=dict)  # joint -> resolution of its encoder, default 1e-3 rad
 
     @property

@@ -14,7 +14,7 @@ from softarm.reality.mechanisms.robots import ROBOTS
 
 @pytest.fixture(scope="module")
 def columns():
-    return record(ROBOTS["camera"], Truth({}), "multisine", 6.0, np.random.default_rng(1)).columns
+    return record(ROBOTS["camera"], Truth({}), "multisine", 6.0, np.random.default_rng(1))
 
 
 def described(folder, columns, names, *options):

@@ -12,7 +12,7 @@ from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
 
 
 def columns(robot, laws=None, seconds=3.0, kind="multisine"):
-    return record(ROBOTS[robot], Truth(laws or {}), kind, seconds, np.random.default_rng(0)).columns
+    return record(ROBOTS[robot], Truth(laws or {}), kind, seconds, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", ROBOTS)

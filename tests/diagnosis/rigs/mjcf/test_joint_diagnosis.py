@@ -12,7 +12,7 @@ from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.record import Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
 
 KINDS = ("multisine", "holds", "multisine")
@@ -22,7 +22,7 @@ def written(folder, robot, laws):
     """Record three trials of a robot with its model and its stage.yaml."""
     random = np.random.default_rng(3)
     for number, kind in enumerate(KINDS):
-        record(ROBOTS[robot], Truth(laws), kind, 10.0, random).write(folder / f"{kind}-{number}.csv")
+        write(record(ROBOTS[robot], Truth(laws), kind, 10.0, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
     return folder / "stage.yaml"

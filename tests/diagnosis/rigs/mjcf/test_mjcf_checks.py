@@ -9,7 +9,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.diagnose import view_of
 from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import Truth, record
+from softarm.reality.mechanisms.record import Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS
 
 
@@ -19,7 +19,7 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     found = {}
     for name in ("camera", "leg"):
-        record(ROBOTS[name], Truth({}), "multisine", 8.0, np.random.default_rng(1)).write(folder / f"{name}.csv")
+        write(record(ROBOTS[name], Truth({}), "multisine", 8.0, np.random.default_rng(1)), folder / f"{name}.csv")
         found[name] = (folder / f"{name}.csv").read_text()
     return found
 
