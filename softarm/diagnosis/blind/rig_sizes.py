@@ -1,69 +1,49 @@
 """True sizes of rigs' faults, for those whose law the diagnosis shares."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from softarm.reality.rigs.presets import RIGS, Kind, Rig, mass_of
 from softarm.reality.rigs.record import nominal
 from softarm.schemas.verdict import Estimate
 
-Size = Callable[[Rig, float], float]
-
-
-def _same(rig: Rig, value: float) -> float:
-    return value
-
-
-def _beyond_nominal_delay(rig: Rig, value: float) -> float:
-    """Return the whole delay; the fault adds to the delay that the rig's owner knows."""
-    return float(nominal(rig).get("delay_s", 0.0)) + value  # type: ignore[arg-type]
-
-
-def _relative_mass(rig: Rig, value: float) -> float:
-    return value / mass_of(rig) - 1
-
-
-def _hertz(rig: Rig, value: float) -> float:
-    return value / math.tau
-
-
-# Setting of a fault -> effect.parameter of the diagnosis, and its size in standard units.
-_CHAIN: Final[Mapping[str, tuple[str, Size]]] = {
-    "drag_n_s2_m2": ("drag.coefficient", _same),
-    "payload_kg": ("payload.mass", _same),
-    "tilt_rad": ("tilt.angle", _same),
-    "strength": ("gain.scale", _same),
-    "delay_s": ("dead_time.delay", _beyond_nominal_delay),
+# Setting of a fault -> effect.parameter of the diagnosis.
+_CHAIN: Final[Mapping[str, str]] = {
+    "drag_n_s2_m2": "drag.coefficient",
+    "payload_kg": "payload.mass",
+    "tilt_rad": "tilt.angle",
+    "strength": "gain.scale",
+    "delay_s": "dead_time.delay",
 }
-_SIZES: Final[Mapping[Kind, Mapping[str, tuple[str, Size]]]] = {
+_SIZES: Final[Mapping[Kind, Mapping[str, str]]] = {
     "tracking": {
-        "delay_s": ("dead_time.delay", _beyond_nominal_delay),
-        "late_s": ("latency.delay", _same),
-        "lag_s": ("lag.rise", _same),
-        "lag_down_s": ("lag.fall", _same),
-        "rate": ("rate_limit.rate", _same),
-        "acceleration": ("acceleration_limit.acceleration", _same),
-        "gain": ("gain.scale", _same),
-        "offset": ("gain.offset", _same),
-        "dead_zone": ("deadband.width", _same),
-        "ceiling": ("ceiling.limit", _same),
-        "bias": ("sensor_bias.bias", _same),
-        "gap": ("backlash.gap", _same),
-        "mode_rad_s": ("second_order.frequency", _hertz),
+        "delay_s": "dead_time.delay",
+        "late_s": "latency.delay",
+        "lag_s": "lag.rise",
+        "lag_down_s": "lag.fall",
+        "rate": "rate_limit.rate",
+        "acceleration": "acceleration_limit.acceleration",
+        "gain": "gain.scale",
+        "offset": "gain.offset",
+        "dead_zone": "deadband.width",
+        "ceiling": "ceiling.limit",
+        "bias": "sensor_bias.bias",
+        "gap": "backlash.gap",
+        "mode_rad_s": "second_order.frequency",
     },
     "driven_mass": {
-        "friction_up_n": ("coulomb_friction.force", _same),
-        "viscous_n_s_m": ("damping.viscous", _same),
-        "drag_n_s2_m2": ("drag.coefficient", _same),
-        "force_n": ("force_offset.force", _same),
-        "mass_kg": ("mass.scale", _relative_mass),
-        "gain": ("gain.scale", _same),
-        "delay_s": ("dead_time.delay", _beyond_nominal_delay),
-        "lag_s": ("lag.time", _same),
-        "gap_m": ("backlash.gap", _same),
+        "friction_up_n": "coulomb_friction.force",
+        "viscous_n_s_m": "damping.viscous",
+        "drag_n_s2_m2": "drag.coefficient",
+        "force_n": "force_offset.force",
+        "mass_kg": "mass.scale",
+        "gain": "gain.scale",
+        "delay_s": "dead_time.delay",
+        "lag_s": "lag.time",
+        "gap_m": "backlash.gap",
     },
-    "pendulum": {"moment": ("stiffness.scale", _same), **_CHAIN},
+    "pendulum": {"moment": "stiffness.scale", **_CHAIN},
     "chain": _CHAIN,
 }
 
@@ -77,10 +57,22 @@ def true_sizes(truth: Mapping[str, Any]) -> dict[str, float]:
         uneven = len({settings[name] for name in ("friction_up_n", "friction_down_n") if name in settings}) > 1
         for name, value in settings.items():
             if name in table and not uneven and not isinstance(value, list):
-                path, size = table[name]
+                path = table[name]
                 if path.partition(".")[0] in cause["names"]:
-                    found[path] = size(rig, value)
+                    found[path] = _size(rig, name, value)
     return found
+
+
+def _size(rig: Rig, setting: str, value: float) -> float:
+    """Return a setting of a fault as the parameter of the diagnosis."""
+    match setting:
+        case "delay_s":  # the fault adds to the delay that the rig's owner knows
+            return float(nominal(rig).get("delay_s", 0.0)) + value  # type: ignore[arg-type]
+        case "mass_kg":
+            return value / mass_of(rig) - 1
+        case "mode_rad_s":
+            return value / math.tau
+    return value
 
 
 def in_standard_units(estimate: Estimate, rig: Rig) -> tuple[float, float]:
