@@ -141,9 +141,7 @@ class Plant:
         return pressure_kpa
 
 
-def _mjcf(
-    parameters: RobotParameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None = None
-) -> str:
+def _mjcf(parameters: RobotParameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None) -> str:
     """Return the robot as MJCF; its x is our y. Links collide with a shelf only, not with each other.
 
     MuJoCo derives the air's drag from a body's inertia; the cart has a negligible one and so no drag.

@@ -2,17 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
 from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
 from softarm.reality.parameters import RobotParameters
+from softarm.reality.rigs.case import apportioned, in_turn
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
 
-T = TypeVar("T")
 Kind = Literal["single", "two", "three", "none", "unknown"]
 SHARES: dict[Kind, float] = {"single": 0.40, "two": 0.14, "three": 0.06, "none": 0.20, "unknown": 0.20}
 _TOGETHER: dict[Kind, int] = {"two": 2, "three": 3}
@@ -87,27 +87,17 @@ def draw(count: int, seed: int) -> list[Case]:
     ]
 
 
-def counts(count: int) -> dict[Kind, int]:
-    """Return the number of cases of each kind by SHARES, rounded by the largest remainders."""
-    exact = {kind: share * count for kind, share in SHARES.items()}
-    whole = {kind: int(value + 1e-9) for kind, value in exact.items()}
-    by_rest = sorted(exact, key=lambda kind: whole[kind] - exact[kind])
-    for kind in by_rest[: count - sum(whole.values())]:
-        whole[kind] += 1
-    return whole
-
-
 Wanted = tuple[Kind, tuple[tuple[str, bool], ...]]
 
 
 def _plan(count: int, random: np.random.Generator) -> Iterator[Wanted]:
     """Kind and causes (name, removed) of every case; single causes occur about equally often."""
-    wanted = counts(count)
-    unknowns = _in_turn([UNKNOWN + name for name in UNKNOWNS], random)
-    singles = _in_turn(SINGLES, random)
+    wanted = apportioned(SHARES, count)
+    unknowns = in_turn([UNKNOWN + name for name in UNKNOWNS], random)
+    singles = in_turn(SINGLES, random)
     for _ in range(wanted["single"]):
         yield "single", (next(singles),)
-    several = _in_turn(SINGLES, random)
+    several = in_turn(SINGLES, random)
     for kind, together in _TOGETHER.items():
         for _ in range(wanted[kind]):
             yield kind, _apart(several, together)
@@ -128,13 +118,6 @@ def _apart(causes: Iterator[tuple[str, bool]], together: int) -> tuple[tuple[str
 def separable(one: str, other: str) -> bool:
     """Return whether two effects may be combined in a case: they differ and are not rivals."""
     return one != other and other not in REGISTRY[one].separated_by
-
-
-def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
-    """All items in random order, again and again."""
-    while True:
-        for index in random.permutation(len(items)):
-            yield items[index]
 
 
 def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.random.Generator) -> Case:

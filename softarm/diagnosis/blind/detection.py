@@ -17,14 +17,7 @@ from softarm.common import files
 from softarm.common.processes import as_they_come, bar, cores
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.cases import Case, with_trials
-from softarm.diagnosis.blind.imperfections import (
-    KNOWN,
-    Cause,
-    Variant,
-    draw_nuisances,
-    given,
-    ranges,
-)
+from softarm.diagnosis.blind.imperfections import KNOWN, Cause, Variant, draw_nuisances, given, ranges
 from softarm.diagnosis.blind.make import is_written, write_case
 from softarm.diagnosis.blind.score import Scored
 from softarm.reality.parameters import RobotParameters
@@ -74,9 +67,7 @@ def healthy(draw: int) -> Case:
 def right(case: Case, answer: Mapping[str, Any]) -> bool:
     """Return whether an answer names the case's cause and nothing else, or is `none` without a cause."""
     verdict = answer["verdict"] and Verdict.model_validate(answer["verdict"])
-    names = tuple(cause.name for cause in case.causes)
-    stages = tuple(cause.stage for cause in case.causes)
-    return Scored(case.name, case.kind, names, stages, (False,) * len(names), verdict, answer["failure"]).right
+    return Scored(case.name, case.kind, case.causes, verdict, answer["failure"]).right
 
 
 def limit(tries: Sequence[tuple[float, bool]]) -> float | None:

@@ -8,12 +8,11 @@ filling, in venting or in both) has a variant for each.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from softarm.reality.parameters import RobotParameters
-from softarm.schemas.model import Arm
 
 UNKNOWN = "unknown."
 
@@ -228,12 +227,9 @@ def turned(robot: RobotParameters, path: str, how: str, value: float) -> RobotPa
     new = {"set": value, "add": old + value, "times": old * value}[how]
     if isinstance(old, int):
         new = round(new)  # number of a link
-    changed: Any = getattr(robot, group)
-    if isinstance(changed, Arm) or group == "cart":
-        changed = changed.model_copy(update={name: new})
-    else:
-        changed = replace(changed, **{name: new})
-    return replace(robot, **{group: changed})
+    if group == "cart":
+        return replace(robot, cart=robot.cart.model_copy(update={name: new}))
+    return replace(robot, **{group: replace(getattr(robot, group), **{name: new})})
 
 
 # Nuisances, drawn for every case: parameter, how it is changed, and half-width of a uniform distribution.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from softarm.diagnosis.blind import pages, run, seal
-from softarm.diagnosis.blind.imperfections import SAME_SIZE
+from softarm.diagnosis.blind.imperfections import Cause
 from softarm.diagnosis.blind.score import Scored, score
 from softarm.diagnosis.data import read
 from softarm.diagnosis.robot.shrink import measure_shrink
@@ -86,19 +86,7 @@ def _scored(labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None,
             place = fresh / answer["case"]
             patched = Model.model_validate_json(json.dumps(answer["patched_model"]))
             shrink = measure_shrink(read.read_all([place]), model_file.load(place / "model.yaml"), patched)
-        causes = label["causes"]
-        cases.append(
-            Scored(
-                answer["case"],
-                label["kind"],
-                tuple(cause["name"] for cause in causes),
-                tuple(cause["stage"] for cause in causes),
-                tuple(cause["removed"] for cause in causes),
-                verdict,
-                answer["failure"],
-                shrink,
-                {SAME_SIZE[path]: x for c in causes for path, x in c["settings"].items() if path in SAME_SIZE},
-            )
-        )
+        causes = tuple(Cause(cause["name"], cause["removed"], cause["settings"]) for cause in label["causes"])
+        cases.append(Scored(answer["case"], label["kind"], causes, verdict, answer["failure"], shrink))
         on_case(answer["case"], number, len(answers))
     return cases

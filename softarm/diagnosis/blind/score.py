@@ -6,12 +6,14 @@ defines the measures. Answers about rigs give one outcome for each case (docs/ev
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import permutations
 from statistics import median
 from typing import Any, Final, Literal, get_args
 
 from softarm.diagnosis.blind import rig_sizes
+from softarm.diagnosis.blind.imperfections import SAME_SIZE, Cause
+from softarm.reality.rigs.case import CATEGORIES
 from softarm.schemas.verdict import Interval, NamedEffect, Verdict
 
 BINS = 10
@@ -25,14 +27,20 @@ class Scored:
 
     case: str
     kind: str  # one of `cases.Kind`
-    causes: tuple[str, ...]
-    stages: tuple[str, ...]  # stage of each cause
-    removed: tuple[bool, ...]  # whether each cause was removed from the model file
+    causes: tuple[Cause, ...]
     verdict: Verdict | None  # None if the tool failed
     failure: str = ""
     measured_shrink: Mapping[str, float] | None = None  # by stage and for `chain`, on fresh trials; None: not measured
-    # True parameters of the registry, `stage.effect.parameter` -> value.
-    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def cause_names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(cause.name for cause in self.causes)
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """True parameters of the registry, `stage.effect.parameter` -> value."""
+        return {SAME_SIZE[path]: x for cause in self.causes for path, x in cause.settings.items() if path in SAME_SIZE}
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
@@ -47,7 +55,7 @@ class Scored:
     @property
     def right_stage(self) -> bool:
         """Whether the gap was located in a stage with a cause."""
-        return self.verdict is not None and self.verdict.where.stage in self.stages
+        return self.verdict is not None and any(self.verdict.where.stage == cause.stage for cause in self.causes)
 
     @property
     def exact_or_set(self) -> bool:
@@ -56,7 +64,7 @@ class Scored:
             return False
         sets = [answer_set(effect) for effect in self.effects]
         return all(len(s) <= SET_MAX for s in sets) and any(
-            all(cause in s for cause, s in zip(self.causes, order, strict=True)) for order in permutations(sets)
+            all(cause in s for cause, s in zip(self.cause_names, order, strict=True)) for order in permutations(sets)
         )
 
     @property
@@ -86,7 +94,7 @@ def share(hits: Iterable[bool]) -> dict[str, float | int | None]:
 
 ALONE, SEVERAL = ("single",), ("two", "three")
 _SAID: dict[str, Callable[[Scored], bool]] = {
-    "exact": lambda s: sorted(s.names) == sorted(s.causes),
+    "exact": lambda s: sorted(s.names) == sorted(s.cause_names),
     "exact or in sets of two": lambda s: s.exact_or_set,
 }
 # Measure -> the kinds of case that it covers, and whether a case is a hit.
@@ -95,11 +103,11 @@ MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
     "right stage": ((*ALONE, *SEVERAL, "unknown"), lambda s: s.right_stage),
     "right stage, single": (("single",), lambda s: s.right_stage),
     **{f"{kind}, {said}": ((kind,), hit) for kind in (*ALONE, *SEVERAL) for said, hit in _SAID.items()},
-    "single, named first": (("single",), lambda s: bool(s.names) and s.names[0] in s.causes),
-    "two or three, at least one": (SEVERAL, lambda s: any(name in s.causes for name in s.names)),
+    "single, named first": (("single",), lambda s: bool(s.names) and s.names[0] in s.cause_names),
+    "two or three, at least one": (SEVERAL, lambda s: any(name in s.cause_names for name in s.names)),
     "known, a wrong name beside": (
         (*ALONE, *SEVERAL),
-        lambda s: any(answer_set(effect).isdisjoint(s.causes) for effect in s.effects),
+        lambda s: any(answer_set(effect).isdisjoint(s.cause_names) for effect in s.effects),
     ),
     "unknown, given a name": (("unknown",), lambda s: bool(s.names)),
     "unknown, given a name as the whole answer": (
@@ -128,15 +136,11 @@ def score(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def by_cause(cases: Sequence[Scored]) -> dict[str, dict[str, float | int | None]]:
-    """Return the share of right answers for each single cause.
-
-    ' (removed)' marks causes that were removed from the model file.
-    """
+    """Return the share of right answers for each single cause; ' (removed)' marks those removed from the model file."""
     hits: dict[str, list[bool]] = {}
     for case in cases:
         if case.kind in (*ALONE, "unknown"):
-            name = case.causes[0] + (" (removed)" if case.removed[0] else "")
-            hits.setdefault(name, []).append(case.right)
+            hits.setdefault(_shown(case.causes[0]), []).append(case.right)
     return {name: share(hits[name]) for name in sorted(hits)}
 
 
@@ -146,7 +150,7 @@ def calibration(cases: Sequence[Scored]) -> dict[str, Any]:
     A name is right if the effect or one of its equivalents is a cause. The ECE is the mean difference over all names.
     """
     pairs = [
-        (effect.confidence, not answer_set(effect).isdisjoint(case.causes))
+        (effect.confidence, not answer_set(effect).isdisjoint(case.cause_names))
         for case in cases
         for effect in case.effects
         if effect.confidence is not None
@@ -201,13 +205,17 @@ def wrong(case: Scored) -> dict[str, Any]:
     return {
         "case": case.case,
         "kind": case.kind,
-        "causes": [n + (" (removed)" if r else "") for n, r in zip(case.causes, case.removed, strict=True)],
+        "causes": [_shown(cause) for cause in case.causes],
         "verdict": case.verdict.verdict if case.verdict else f"failed: {case.failure}",
         "stage": case.verdict.where.stage if case.verdict else None,
         "named": [
             {"name": e.name, "equivalents": list(e.equivalents), "confidence": e.confidence} for e in case.effects
         ],
     }
+
+
+def _shown(cause: Cause) -> str:
+    return cause.name + (" (removed)" if cause.removed else "")
 
 
 Outcome = Literal["right", "wide", "part", "picked", "wrong", "silent", "missed", "failed"]
@@ -333,7 +341,7 @@ def rig_counts(scored: Sequence[ScoredRig]) -> dict[str, Any]:
 
 
 def _order(name: str) -> tuple[int, str]:
-    known = ("single", "half", "two", "set", "none", "unknown", WEAK)
+    known = (*CATEGORIES, WEAK)
     return (known.index(name) if name in known else len(known), name)
 
 

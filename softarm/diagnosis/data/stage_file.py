@@ -26,12 +26,8 @@ class Recording:
     name: str
     kind: str
     files: Mapping[str, Path]
-    segment: str | None
-    # Seconds after the first row of its files.
-    from_s: float = 0.0
-    to_s: float | None = None
-    split: str | None = None  # column that numbers the trials of a file
-    only: float | None = None  # number of this trial
+    about: TableTrial
+    only: float | None = None  # number of this trial in the column by which its file is split
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +137,11 @@ def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> 
             raise TrialError(f"{of}: names no file for the {name} channel; add it under `files`")
     if trial.segment is not None and not _has_segment(about):
         raise TrialError(f"{of}: has a segment, but no `source` holds {{segment}}; put it there, or leave it out")
-    cut = trial.segment, trial.from_s, trial.to_s, trial.split
     stars = {name: pattern for name, pattern in files.items() if _STAR.search(pattern)}
     if not stars:
         first = Path(next(iter(files.values())))
         name = trial.name or (first.stem if trial.segment is None else f"{first.stem}-{trial.segment}")
-        yield Recording(name, trial.kind or kind_of(name), {c: base / f for c, f in files.items()}, *cut)
+        yield Recording(name, trial.kind or kind_of(name), {c: base / f for c, f in files.items()}, trial)
         return
     fitting = {name: _fitting(base, pattern) for name, pattern in stars.items()}
     for name, found in fitting.items():
@@ -164,7 +159,7 @@ def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> 
         own = "-".join(starred)
         name = f"{trial.name}-{own}" if trial.name else own
         place = {c: fitting[c][starred] if c in fitting else base / f for c, f in files.items()}
-        yield Recording(name, trial.kind or kind_of(trial.name or own), place, *cut)
+        yield Recording(name, trial.kind or kind_of(trial.name or own), place, trial)
 
 
 def kind_of(name: str) -> str:

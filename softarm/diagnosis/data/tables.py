@@ -70,12 +70,12 @@ def _split(
 ) -> Iterator[Recording | TrialError]:
     """Yield recordings, those of several trials in one file split by their column."""
     for recording in found:
-        if isinstance(recording, TrialError) or recording.split is None:
+        if isinstance(recording, TrialError) or recording.about.split is None:
             yield recording
             continue
         try:
             tables = [_loaded(path, stage, loaded) for path in recording.files.values()]
-            for number in np.unique(table_files.readings(tables[0], recording.split, blank=False)):
+            for number in np.unique(table_files.readings(tables[0], recording.about.split, blank=False)):
                 yield replace(recording, name=f"{recording.name}-{number:g}", only=float(number))
         except TrialError as error:
             yield error
@@ -156,7 +156,7 @@ def _rows(
     table: Table, channel: TableChannel, recording: Recording, element: int | None
 ) -> tuple[_Rows, list[str], bool | None]:
     """Rows of a channel with a reading in every column, warnings about the others, and the time zones of its stamps."""
-    segment = recording.segment
+    segment = recording.about.segment
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
         source = next(iter(channel.columns.values())).source
         raise TrialError(
@@ -168,8 +168,8 @@ def _rows(
     time, zoned = stamps or (table_files.counted(channel.time, len(next(iter(columns.values())))), None)
     warnings = []
     keep = np.isfinite(time)
-    if recording.split is not None:
-        keep &= table_files.readings(table, recording.split, blank=False) == recording.only
+    if recording.about.split is not None:
+        keep &= table_files.readings(table, recording.about.split, blank=False) == recording.only
     for name, values in columns.items():
         if len(values) != len(time):
             raise TrialError(
@@ -196,14 +196,15 @@ def _rows(
 
 def _within(channels: dict[str, _Rows], recording: Recording) -> dict[str, _Rows]:
     """Channels in the window of a trial; one that drives the rig keeps its last value from before."""
-    if recording.from_s == 0 and recording.to_s is None:
+    from_s, to_s = recording.about.from_s, recording.about.to_s
+    if from_s == 0 and to_s is None:
         return channels
     first = min(float(rows.series.t_s[0]) for rows in channels.values())
     last = max(float(rows.series.t_s.max()) for rows in channels.values())
-    low, high = first + recording.from_s, math.inf if recording.to_s is None else first + recording.to_s
+    low, high = first + from_s, math.inf if to_s is None else first + to_s
     if low >= last:
         raise TrialError(
-            f"{next(iter(recording.files.values()))}: trial {recording.name}: from_s is {recording.from_s:g}, but the "
+            f"{next(iter(recording.files.values()))}: trial {recording.name}: from_s is {from_s:g}, but the "
             f"recording lasts {last - first:.4g} s; allowed below {last - first:.4g} s; correct it"
         )
     found = {}

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -210,9 +209,6 @@ class Draft:
         path = self.survey.recordings[0].files[signal.group]
         return signal.header.role or (headers.read(path.stem).role if several else "")
 
-    def _path(self) -> Path:
-        return next(iter(self.survey.recordings[0].files.values()))
-
     def _named(self, text: str, option: str) -> Signal:
         """Return the signal that the user means."""
         every = self.survey.signals
@@ -227,8 +223,9 @@ class Draft:
         given = self.answers
         if len(self.moving) < 2:
             still = ", ".join(s.label for s in self.survey.signals if s.is_constant) or "none"
+            path = next(iter(self.survey.recordings[0].files.values()))
             raise TrialError(
-                f"{self._path()}: a tracking rig needs a command and an output that move; moving: "
+                f"{path}: a tracking rig needs a command and an output that move; moving: "
                 f"{', '.join(s.label for s in self.moving) or 'none'}, constant: {still}; name other recordings"
             )
         command = [self._named(text, "--command") for text in given.command[:1]]

@@ -146,7 +146,7 @@ class _Plant:
         """Return what the encoder shows at every step, [T]."""
         law = self.truth.laws.get(name, JointLaw())
         if law.play:
-            play = Play(law.play, q[0])
+            play = Play(np.asarray(law.play), q[0])
             q = np.array([play.step(x) for x in q])
         return np.asarray(q + law.bent * np.sin(q))
 

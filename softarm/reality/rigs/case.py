@@ -150,12 +150,10 @@ def draw(
     if count < 1 or seed < 0:
         raise ValueError(f"count is {count}, seed is {seed}; give a count from 1 and a seed from 0")
     random = np.random.default_rng((seed, 0))
-    wanted = _categories(count, categories)
+    wanted = [c for c, n in apportioned({c: SHARES[c] for c in categories}, count).items() for _ in range(n)]
     random.shuffle(wanted)
-    kind_of, rigs = (
-        _in_turn(kinds, random),
-        {k: _in_turn([r for r in RIGS.values() if r.kind == k], random) for k in kinds},
-    )
+    kind_of = in_turn(kinds, random)
+    rigs = {k: in_turn([r for r in RIGS.values() if r.kind == k], random) for k in kinds}
     names = random.choice(16**6, size=count, replace=False)
     faults: dict[tuple[str, bool], Iterator[str]] = {}
     cases = []
@@ -184,17 +182,18 @@ def case_of(
     )  # fmt: skip
 
 
-def _categories(count: int, categories: Sequence[Category]) -> list[Category]:
-    """Return a category per case by `SHARES`; the largest remainders get the cases that rounding leaves."""
-    total = sum(SHARES[c] for c in categories)
-    exact = {c: SHARES[c] / total * count for c in categories}
-    whole = {c: int(x) for c, x in exact.items()}
-    for c in sorted(exact, key=lambda c: whole[c] - exact[c])[: count - sum(whole.values())]:
-        whole[c] += 1
-    return [c for c, n in whole.items() for _ in range(n)]
+def apportioned(shares: Mapping[T, float], count: int) -> dict[T, int]:
+    """Return whole numbers in proportion to shares that add up to a count, rounded by the largest remainders."""
+    total = sum(shares.values())
+    exact = {each: share / total * count for each, share in shares.items()}
+    whole = {each: int(x) for each, x in exact.items()}
+    for each in sorted(exact, key=lambda each: whole[each] - exact[each])[: count - sum(whole.values())]:
+        whole[each] += 1
+    return whole
 
 
-def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
+def in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
+    """Yield all items in random order, again and again."""
     while True:
         for index in random.permutation(len(items)):
             yield items[index]
@@ -215,7 +214,7 @@ def _case(
         causes, excitations = _tied(rig, random, excitations)
         category = "set" if causes else "single"
     if category not in ("set", "none"):
-        turn = faults.setdefault((rig.name, category == "unknown"), _in_turn(_faults(rig, category), random))
+        turn = faults.setdefault((rig.name, category == "unknown"), in_turn(_faults(rig, category), random))
         chosen = [next(turn)]
         if category == "two":
             chosen.append(next(f for f in turn if not _alike(chosen[0], f)))

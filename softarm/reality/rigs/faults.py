@@ -189,11 +189,9 @@ _CHAMBER = {name: _FOLLOWER[name] for name in _SHARED_WITH_CHAMBER} | {
 # Carts.
 
 
-def force_of(rig: Rig) -> float:
-    """Return a typical force on a cart, N, or torque on a chain's first joint, N m."""
-    if rig.plant == "cart":
-        return 0.6 * mass_of(rig) * rig.reach / rig.pace_s**2
-    return moments_of(rig)[0]
+def _force_of(rig: Rig) -> float:
+    """Return a typical force on a cart, N."""
+    return 0.6 * mass_of(rig) * rig.reach / rig.pace_s**2
 
 
 def _speed_of(rig: Rig) -> float:
@@ -201,7 +199,7 @@ def _speed_of(rig: Rig) -> float:
     return 0.7 * rig.reach / rig.pace_s
 
 
-_force = _sized(0.1, 0.25, force_of)
+_force = _sized(0.1, 0.25, _force_of)
 
 
 def _even_friction(rig: Rig, size: float, random: np.random.Generator) -> Patch:
@@ -253,7 +251,7 @@ _CART = {
     "damping": Fault(_patch(viscous_n_s_m=_viscous), _one({"damping"})),
     "drag": Fault(_patch(drag_n_s2_m2=_cart_drag), _one({"drag"})),
     "slope": Fault(
-        _patch(force_n=_sized(0.1, 0.25, force_of, either_way=True)), _one({"force_offset", "tilt"}), _PULLED
+        _patch(force_n=_sized(0.1, 0.25, _force_of, either_way=True)), _one({"force_offset", "tilt"}), _PULLED
     ),
     "payload": Fault(_patch(mass_kg=_heavier), _SCALED),
     "weak motor": Fault(_patch(gain=_sized(0.12, 0.25, lambda rig: -1.0)), _SCALED),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.floating[Any]]
 
@@ -131,11 +132,8 @@ def coloured(count: int, step_s: float, sigma: float, corner_hz: float, random: 
     """Return noise with a corner frequency: a first-order autoregression."""
     kept = math.exp(-2 * math.pi * corner_hz * step_s)
     white = random.normal(0.0, sigma * math.sqrt(1 - kept * kept), count)
-    out, last = np.empty(count), random.normal(0.0, sigma)
-    for i in range(count):
-        last = kept * last + white[i]
-        out[i] = last
-    return out
+    before = random.normal(0.0, sigma)
+    return np.asarray(lfilter([1.0], [1.0, -kept], white, zi=[kept * before])[0])
 
 
 def grown(clock_s: Array) -> Array:

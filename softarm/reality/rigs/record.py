@@ -73,12 +73,8 @@ def record(case: RigCase) -> tuple[list[Run], float]:
     lanes: list[Lane] = [_with(healthy, patches), known, healthy]
     lanes += [_with(healthy, [p for p in patches if p is not left]) for left in patches]
     durations = [float(random.uniform(*rig.duration_s)) for _ in case.excitations]
-    if rig.kind == "tracking":
-        plain = _follow(case, lanes, durations, random)
-    elif rig.kind == "driven_mass":
-        plain = _drive(case, lanes, durations, random)
-    else:
-        plain = _swing(case, lanes, durations, random)
+    simulate = {"tracking": _follow, "driven_mass": _drive}.get(rig.kind, _swing)
+    plain = simulate(case, lanes, durations, random)
     noise = _Noise.draw(rig, random)
     return [replace(run, measured=noise.on(run, random)) for run in plain], noise.rms
 

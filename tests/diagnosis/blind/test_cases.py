@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.blind import make
-from softarm.diagnosis.blind.cases import FRESH, PROGRAMME, SHARES, SINGLES, counts, draw, separable
+from softarm.diagnosis.blind.cases import FRESH, PROGRAMME, SINGLES, draw, separable
 from softarm.diagnosis.blind.imperfections import (
     KNOWN,
     REMOVABLE,
@@ -59,15 +59,9 @@ def cases():
 
 
 def test_a_hundred_cases_have_the_promised_shares():
-    assert counts(100) == {"single": 40, "two": 14, "three": 6, "none": 20, "unknown": 20}
-    assert Counter(case.kind for case in draw(100, seed=1)) == counts(100)
-
-
-@pytest.mark.parametrize("count", [1, 7, 33, 120])
-def test_shares_of_any_count_add_up_to_it(count):
-    found = counts(count)
-    assert sum(found.values()) == count
-    assert all(abs(found[kind] - share * count) < 1 for kind, share in SHARES.items())
+    assert Counter(case.kind for case in draw(100, seed=1)) == {
+        "single": 40, "two": 14, "three": 6, "none": 20, "unknown": 20,
+    }  # fmt: skip
 
 
 def test_the_same_seed_draws_the_same_cases_and_another_draws_others():

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from softarm.diagnosis.blind.imperfections import Cause
 from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
 from tests.diagnosis.verdicts import effect, verdict
 
 
 def case(kind, causes, *effects, stated="named", stage=None, shrink=None, removed=False):
     answer = verdict(stated if effects or stated != "named" else "none", *effects, stage=stage)
-    stages = tuple("rail" if name.startswith("unknown") else name.partition(".")[0] for name in causes)
-    return Scored("case", kind, tuple(causes), stages, (removed,) * len(causes), answer, "", shrink)
+    return Scored("case", kind, tuple(Cause(name, removed, {}) for name in causes), answer, "", shrink)
 
 
 def measures(*cases):
@@ -53,7 +53,7 @@ def test_names_without_a_cause_and_for_unknown_causes_are_counted():
         case("unknown", ["unknown.cable"], stated="unknown", stage="rail"),
         case("unknown", ["unknown.cable"], effect("rail.gain"), stated="incomplete", stage="rail"),
         case("unknown", ["unknown.cable"], effect("rail.gain"), stage="arm"),
-        Scored("case", "unknown", ("unknown.cable",), ("rail",), (False,), None, "it fell"),
+        Scored("case", "unknown", (Cause("unknown.cable", False, {}),), None, "it fell"),
     )
     assert found["none, given a name"] == found["none, said so"] == (1, 2)
     assert found["unknown, given a name"] == (2, 4)
@@ -67,7 +67,7 @@ def test_every_wrong_answer_is_listed_with_the_truth():
         [
             case("single", ["rail.lag"], effect("rail.delay"), stage="rail", removed=True),
             case("none", [], stated="none"),
-            Scored("other", "none", (), (), (), None, "it fell"),
+            Scored("other", "none", (), None, "it fell"),
         ]
     )
     one, other = found["wrong"]
@@ -114,10 +114,10 @@ def test_coverage_counts_effects_alone_in_their_stage():
 
 
 def test_an_interval_of_a_size_holds_the_true_one_of_the_named_effect_alone():
-    true = {"rail.gain.scale": -0.05, "rail.lag.time": 0.02}
+    true = Cause("rail.gain", False, {"rail.feed_error": -0.05}), Cause("rail.lag", False, {"rail.lag_s": 0.02})
     inside = effect("rail.gain", scale=(-0.055, -0.06, -0.04, "-"))
     beside = effect("rail.lag", time=(0.03, 0.025, 0.035, "s"), other=(1.0, 0.9, 1.1, "-"))
-    cases = [replace(case("two", ["rail.gain", "rail.lag"], inside, beside), sizes=true)]
+    cases = [replace(case("two", ["rail.gain", "rail.lag"], inside, beside), causes=true)]
     found = coverage([*cases, case("single", ["rail.gain"], inside)])["size"]
     assert (found["hits"], found["of"]) == (1, 2)
     assert found["bias"] == pytest.approx(((1 - 1.1) + (1 - 1.5)) / 2)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from softarm.reality.rigs import excitation
-from softarm.reality.rigs.case import case_of, draw
+from softarm.reality.rigs.case import SHARES, apportioned, case_of, draw
 from softarm.reality.rigs.faults import FAULTS
 from softarm.reality.rigs.presets import RIGS
 from softarm.reality.rigs.record import record, stage_model, write
@@ -30,6 +30,13 @@ def test_cases_follow_the_shares_alternate_kinds_and_depend_on_the_seed_alone():
     assert {c.kind for c in draw(6, 0, ("tracking", "pendulum"))} == {"tracking", "pendulum"}
     with pytest.raises(ValueError, match="count is 0"):
         draw(0, 0)
+
+
+@pytest.mark.parametrize("count", [1, 7, 33, 120])
+def test_shares_of_any_count_add_up_to_it(count):
+    found = apportioned(SHARES, count)
+    assert sum(found.values()) == count
+    assert all(abs(found[category] - share * count) < 1 for category, share in SHARES.items())
 
 
 def test_every_case_matches_its_category():
