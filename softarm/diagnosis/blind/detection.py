@@ -38,12 +38,8 @@ def causes() -> Iterator[tuple[str, Variant]]:
 def weak(number: int, name: str, variant: Variant, draw: int, draws: int) -> tuple[Case, float]:
     """Return a robot with a cause of random strength, and the strength as a share of the weakest in the benchmark.
 
-    Args:
-        number: of the cause's variant.
-        name: effect of the registry.
-        variant: its first knob sets the strength; the others are drawn as in the benchmark.
-        draw: number of the robot; each has its own part of the range of strengths.
-        draws: number of robots.
+    The first knob of the variant sets the strength, the others are drawn as in the benchmark. Each of the `draws`
+    robots of a variant has its own part of the range of strengths.
     """
     random = np.random.default_rng((_SEED, number, draw))
     robot = draw_nuisances(RobotParameters(), random)
@@ -71,10 +67,9 @@ def right(case: Case, answer: Mapping[str, Any]) -> bool:
 
 
 def limit(tries: Sequence[tuple[float, bool]]) -> float | None:
-    """Return the smallest strength from which FOUND of the answers are right, or None if there is none.
+    """Return the smallest strength from which FOUND of the answers are right, from the strength and success of each.
 
-    Args:
-        tries: strength and whether the answer was right.
+    The result is None if there is no such strength.
     """
     ordered = sorted(tries, reverse=True)
     hits = np.cumsum([hit for _, hit in ordered]) / np.arange(1, len(ordered) + 1)
@@ -96,13 +91,9 @@ def answer(case: Case, place: Path) -> dict[str, Any]:
 
 
 def measure(place: Path, draws: int, robots: int, processes: int) -> dict[str, Any]:
-    """Diagnose weak causes and healthy robots and return the figures of the table.
+    """Diagnose robots of each variant of a cause, and healthy ones, and return the figures of the table.
 
-    Args:
-        place: folder for recordings and answers; an interrupted measurement continues there.
-        draws: robots for each variant of a cause.
-        robots: healthy robots.
-        processes: processes side by side.
+    `place` keeps recordings and answers, so that an interrupted measurement continues there.
     """
     (place / "answers").mkdir(parents=True, exist_ok=True)
     known = list(causes())

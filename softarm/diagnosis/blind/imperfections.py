@@ -161,15 +161,10 @@ class Cause:
     @property
     def stage(self) -> str:
         """Stage in which the cause acts."""
-        return stage_of(self.name)
-
-
-def stage_of(name: str) -> str:
-    """Return the stage in which a cause acts."""
-    if name.startswith(UNKNOWN):
-        group = variants_of(name)[0][0].path.partition(".")[0]
-        return _STAGE_OF_GROUP.get(group, group)
-    return name.partition(".")[0]
+        if self.name.startswith(UNKNOWN):
+            group = variants_of(self.name)[0][0].path.partition(".")[0]
+            return _STAGE_OF_GROUP.get(group, group)
+        return self.name.partition(".")[0]
 
 
 def draw_cause(

@@ -3,40 +3,18 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.trials import ROBOT_CHANNELS, Series, Trial, TrialError
-from softarm.recordings import channels, mcap_file
+from softarm.recordings import channels, flight, mcap_file
 from softarm.schemas import log
-from softarm.schemas.messages import BODY_NAMES, CAPTURE_AHEAD_MAX_NS, Command
+from softarm.schemas.messages import BODY_NAMES, CAPTURE_AHEAD_MAX_NS
 
 # A cart that moved less was held.
 HELD_M = 5e-4
 
 Rows = dict[str, list[tuple[float, ...]]]
-
-
-class _Observed(BaseModel):
-    values: tuple[float, ...]
-
-
-class _Goal(BaseModel):
-    state: str = "none"
-
-
-class _Outputs(BaseModel):
-    """Fields of a tick's outputs that a trial needs."""
-
-    t_ns: int
-    sent: Command
-    policy: str = ""
-    observed: _Observed | None = None
-    goal: _Goal = _Goal()
-
-
-class _Tick(BaseModel):
-    outputs: _Outputs
 
 
 def read(path: Path) -> Trial:
@@ -91,9 +69,9 @@ class _Readings:
             rail = channels.RAIL.decode(data)
             self.rows["rail"].append((self._seconds(rail.t_receive_ns), rail.position_m, rail.velocity_m_s))
         elif topic == log.TICK:
-            self._add_tick(_Tick.model_validate_json(data).outputs)
+            self._add_tick(flight.Tick.model_validate_json(data).outputs)
 
-    def _add_tick(self, tick: _Outputs) -> None:
+    def _add_tick(self, tick: flight.Outputs) -> None:
         now, sent = self._seconds(tick.t_ns), tick.sent
         self._enabled = self._enabled or sent.enable
         if tick.goal.state == "running" and tick.policy:

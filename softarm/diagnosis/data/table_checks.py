@@ -299,8 +299,13 @@ def _upright(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
     """A pendulum whose angle is not zero when it hangs."""
     for name in compared_columns(trial) if stage.kind == "pendulum" else ():
         middle = float(np.median(trial.channels["measured"][name]))
-        if abs(abs(middle) - np.pi) < UPRIGHT_RAD:
+        if shift := upright_shift(middle):
             yield (
                 f"{at('measured', name)}: the median of {name} is {middle:.3g} rad, but a pendulum hangs at 0; "
-                f"write `add: {-np.copysign(np.pi, middle):.6f}`"
+                f"write `add: {shift:.6f}`"
             )
+
+
+def upright_shift(median_rad: float) -> float:
+    """Return the half turn that brings the median of an angle to 0, or 0.0 if the median is not near a half turn."""
+    return float(-np.copysign(np.pi, median_rad)) if abs(abs(median_rad) - np.pi) < UPRIGHT_RAD else 0.0

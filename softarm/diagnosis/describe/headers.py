@@ -55,7 +55,6 @@ _WORD = re.compile(r"[^\W\d_]+")
 class Header:
     """Content of a column's header."""
 
-    text: str
     name: str  # without the unit
     unit: str | None  # as it may be written in a stage.yaml
     role: Role
@@ -74,7 +73,7 @@ def read(text: str) -> Header:
     quantity = next((of for of, known in _QUANTITIES.items() if words & set(known.split())), "")
     if words & _JOINT:
         quantity = _OF_JOINT.get(quantity, quantity)
-    return Header(text, name, unit, role, factor(unit)[1] if unit is not None else quantity)
+    return Header(name, unit, role, factor(unit)[1] if unit is not None else quantity)
 
 
 def unit_named(text: str) -> str | None:

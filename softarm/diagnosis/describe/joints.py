@@ -26,13 +26,7 @@ class ModelJoint:
 
 
 def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], model: str) -> Proposal:
-    """Return the content of a stage file of kind mujoco.
-
-    Args:
-        survey: the recordings.
-        answers: time, rate and units that the user has given.
-        joints: joints of the model.
-        model: path of the model, as the stage file names it.
+    """Return the content of a stage file of kind mujoco; `model` is the path of the model as the stage file names it.
 
     Raises:
         Unknown: the stamps or their unit are unknown.

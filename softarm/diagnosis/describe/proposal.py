@@ -10,7 +10,7 @@ import numpy as np
 
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.common.words import did_you_mean
-from softarm.diagnosis.data.table_checks import ALIKE, UPRIGHT_RAD
+from softarm.diagnosis.data.table_checks import ALIKE, upright_shift
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe import clocks, headers
 from softarm.diagnosis.describe.clocks import Clock
@@ -337,8 +337,11 @@ class Draft:
             own = found.setdefault(channel, {})
             for signal in signals:
                 unit, note = units[signal.label]
-                name = _column(kind, channel, factor(unit)[1], own)
-                own[name] = Use(signal, unit, note, _upright(signal, unit) if kind == "pendulum" else 0.0)
+                worth, standard = factor(unit)
+                name = _column(kind, channel, standard, own)
+                middle = float(np.median(signal.all)) * worth
+                shift = upright_shift(middle) if kind == "pendulum" and standard == "rad" else 0.0
+                own[name] = Use(signal, unit, note, shift)
         return found
 
     def _of_slope(
@@ -463,13 +466,6 @@ def _column(kind: StageKind, channel: str, standard: str, taken: Mapping[str, ob
     if standard in ("m/s", "rad/s", "counts/s"):
         return "velocity"
     return "pressure" if standard == "kPa" else "value"
-
-
-def _upright(signal: Signal, unit: str) -> float:
-    """Return what to add to an angle that is half a turn while the pendulum hangs."""
-    worth, standard = factor(unit)
-    middle = float(np.median(signal.all)) * worth
-    return float(-np.copysign(np.pi, middle)) if standard == "rad" and abs(abs(middle) - np.pi) < UPRIGHT_RAD else 0.0
 
 
 def _likely_unit(signal: Signal, standard: str) -> str:

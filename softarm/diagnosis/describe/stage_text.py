@@ -35,15 +35,7 @@ _CANDIDATES_MAX = 8
 
 
 def text(survey: Survey, proposal: Proposal, name: str, folder: Path, run: str) -> str:
-    """Return the text of a stage.yaml.
-
-    Args:
-        survey: the recordings.
-        proposal: its content.
-        name: the mechanism's name.
-        folder: where the file will be; paths of recordings are relative to it.
-        run: the command that checks the file.
-    """
+    """Return the text of a stage.yaml in a folder, to which paths are relative; `run` is the command that checks it."""
     return "\n".join([*_head(survey, proposal, name, run), *_channels(survey, proposal),
                       *_model(proposal), *_table(survey.form), *_trials(survey, proposal, folder), ""])  # fmt: skip
 

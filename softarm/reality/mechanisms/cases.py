@@ -67,12 +67,7 @@ UNKNOWNS: Final[Mapping[str, Fault]] = {
 def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str) -> None:
     """Record one case: its input in FOLDER/data/NAME and its causes in FOLDER/truths/NAME.json.
 
-    Args:
-        folder: place of the benchmark.
-        name: name of the case.
-        seed: seed of the benchmark.
-        index: number of the case; robots take turns.
-        category: "single", "half", "two", "none" or "unknown".
+    Robots take turns with the index of the case. The category is "single", "half", "two", "none" or "unknown".
     """
     random = np.random.default_rng((seed, index))
     robot = list(ROBOTS.values())[index % len(ROBOTS)]

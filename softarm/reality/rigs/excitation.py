@@ -87,11 +87,5 @@ SHAPES: Final[dict[str, Shape]] = {
 
 
 def signal(kind: str, t_s: Array, pace_s: float, random: np.random.Generator) -> Array:
-    """Return an excitation of a kind of `SHAPES` at each time; its highest frequency is the sample rate over 12.
-
-    Args:
-        kind: Name of the shape.
-        t_s: Equally spaced times, s.
-        pace_s: Time scale of the rig, s.
-    """
+    """Return an excitation of `SHAPES` at equally spaced times; its highest frequency is the sample rate over 12."""
     return SHAPES[kind](t_s, pace_s, 1 / (12 * (t_s[1] - t_s[0])), random)

@@ -147,12 +147,7 @@ def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
 
 
 def lanes_of(machine: str, lanes: Sequence[Mapping[str, float]], defaults: Mapping[str, float]) -> dict[str, Array]:
-    """Return the parameters of all lanes as one array per name.
-
-    Args:
-        machine: Kind of the machine, for the error.
-        lanes: Parameters of each lane.
-        defaults: Neutral value of each parameter.
+    """Return the parameters of all lanes as one array per name; defaults are neutral.
 
     Raises:
         KeyError: A name is not in `defaults`.
