@@ -57,11 +57,6 @@ def test_dates_are_seconds_of_one_clock(tmp_path, form, zone):
     assert trial.warnings == ()
 
 
-def test_stamps_in_two_time_zones_agree(tmp_path):
-    trial = read(tmp_path, stamps(zulu), stamps(datetime.isoformat, timezone(timedelta(hours=-8))))
-    np.testing.assert_array_equal(trial.channels["command"].t_s, trial.channels["measured"].t_s)
-
-
 def test_dates_may_have_decimal_commas_and_no_header(tmp_path):
     stage = changed(STAGE, ("source: t,", "source: 1,"), ("source: u,", "source: 2,"), ("source: y", "source: 2"))
     trial = read(tmp_path, *[[t.replace(".", ",") for t in stamps(plain)]] * 2, stage=stage, delimiter=";", head=False)

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.diagnosis.data.servo import table as text_of
+
 T = np.arange(300) * 0.02
 COMMAND = 30 * np.sin(2 * T) + 5 * np.sign(np.sin(7 * T))
 MEASURED = np.zeros(300)
@@ -17,11 +19,10 @@ for _k in range(1, 300):
 def table(tmp_path: Path) -> Callable[..., Path]:
     """Write a text table and return its path."""
 
-    def write(name: str, head: str, *columns: Sequence[float], delimiter: str = ",", decimal: str = ".") -> Path:
+    def write(name: str, head: str, *columns: Sequence[float], **form: str) -> Path:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        rows = (delimiter.join(f"{x:.4f}".replace(".", decimal) for x in row) for row in zip(*columns, strict=True))
-        path.write_text("\n".join([*([head] if head else []), *rows, ""]), encoding="utf-8")
+        path.write_text(text_of(head, *columns, **form), encoding="utf-8")
         return path
 
     return write
