@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softarm.diagnosis.data.read import read_all
@@ -27,9 +28,10 @@ def test_a_log_is_exported_as_a_trial_folder(form, tmp_path):
     (trial,) = read_all([tmp_path / "out"])
     (log,) = read_all([FLIGHT])
     assert (trial.name, trial.kind, trial.rail) == (log.name, log.kind, log.rail)
-    assert {name: len(series) for name, series in trial.channels.items()} == {
-        name: len(series) for name, series in log.channels.items()
-    }
+    assert trial.channels.keys() == log.channels.keys()
+    for name, series in trial.channels.items():
+        np.testing.assert_array_equal(series.t_s, log.channels[name].t_s)
+        np.testing.assert_equal(dict(series.columns), dict(log.channels[name].columns))
 
 
 def test_logs_become_one_dataset_for_lerobot(tmp_path):

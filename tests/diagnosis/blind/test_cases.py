@@ -31,24 +31,9 @@ from softarm.simulator.effects import REGISTRY
 CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
 # Fields of the independent robot that the nuisances change; all others are neutral without a cause.
 CHANGED = {
-    "inflate_s",
-    "deflate_s",
-    "tube_s",
-    "acceleration_m_s2",
-    "delay_s",
-    "velocity_gain_n_s_m",
-    "bias_kpa",
-    "offset_y_m",
-    "offset_z_m",
-    "rotation_rad",
-    "noise_m",
-    "angle_noise_rad",
-    "noise_kpa",
-    "camera_drift",
-    "tick_jitter_s",
-    "transport_s",
-    "transport_jitter_s",
-    "dropout",
+    *("inflate_s", "deflate_s", "tube_s", "acceleration_m_s2", "delay_s", "velocity_gain_n_s_m", "bias_kpa"),
+    *("offset_y_m", "offset_z_m", "rotation_rad", "noise_m", "angle_noise_rad", "noise_kpa", "camera_drift"),
+    *("tick_jitter_s", "transport_s", "transport_jitter_s", "dropout"),
 }
 GROUPS = ("regulator", "rail", "arm", "mocap", "pressure_sensor", "rail_sensor", "clock")
 

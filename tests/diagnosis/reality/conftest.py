@@ -1,4 +1,4 @@
-"""A fixed campaign of the independent robot: two trials, one effect or none, always the same bytes; in every form."""
+"""A fixed campaign of the independent robot: two trials, one effect or none, always the same bytes; also as logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyarrow import csv, parquet
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Observed, Outputs, TickTiming
 from softarm.daemon.logbook import ticks
@@ -58,18 +57,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
 def diagnosed(flown: Callable[[float], Path]) -> Callable[[float], Diagnosis]:
     """Return the answers in the order of the folder."""
     return cache(lambda dead_time_s: diagnose(read_all([flown(dead_time_s)]), Model()))
-
-
-@pytest.fixture(scope="session")
-def as_parquet(flown: Callable[[float], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The late campaign as another stack might have written it."""
-    campaign = tmp_path_factory.mktemp("parquet") / "campaign"
-    for kind in KINDS:
-        (campaign / kind).mkdir(parents=True)
-        (campaign / kind / "trial.yaml").write_bytes((flown(DEAD_TIME_S) / kind / "trial.yaml").read_bytes())
-        for file in (flown(DEAD_TIME_S) / kind).glob("*.csv"):
-            parquet.write_table(csv.read_csv(file), campaign / kind / f"{file.stem}.parquet")
-    return campaign
 
 
 @pytest.fixture(scope="session")
