@@ -1,12 +1,12 @@
 """Cases of a corpus of rigs: a machine, its faults and its excitations, all drawn from one seed."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 
-from softarm.reality.rigs.faults import FAULTS, Fault
+from softarm.reality.rigs.faults import FAULTS, Fault, Patch
 from softarm.reality.rigs.presets import RIGS, Kind, Rig
 
 T = TypeVar("T")
@@ -78,21 +78,11 @@ _TIED_ALWAYS: Final[Mapping[str, frozenset[str]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One fault of a case and the names that a diagnosis may give it."""
+    """One fault of a case, with the parameters of the plant and the names that a diagnosis may give the fault."""
 
     fault: str
-    # Parameters of the plant.
-    settings: Mapping[str, float | tuple[float, ...]]
-    # Each of these names is right; empty: the fault is no known effect.
-    names: frozenset[str]
-    # Names that may also be in the answer because the data cannot exclude them.
-    tied: frozenset[str]
-    # Names that must all be in the answer.
-    must: frozenset[str]
-    # Names that are right as a part of an unknown effect.
-    near: frozenset[str]
-    # Additional names that do not count as a mistake.
-    also: frozenset[str]
+    settings: Patch
+    right: Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +111,7 @@ class RigCase:
                 "fault": c.fault,
                 "settings": {n: np.ravel(x).tolist() if isinstance(x, tuple) else x for n, x in c.settings.items()},
             }
-            | {name: sorted(getattr(c, name)) for name in ("names", "tied", "must", "near", "also")}
+            | {name: sorted(getattr(c.right, name)) for name in ("names", "tied", "must", "near", "also")}
             for c in self.causes
         ]
         return {
@@ -174,7 +164,7 @@ def case_of(
     """
     machine, random = RIGS[rig], np.random.default_rng((seed, 2))
     causes = tuple(_cause(machine, name, strength, random) for name in faults)
-    unknown = any(not c.names for c in causes)
+    unknown = any(not c.right.names for c in causes)
     category: Category = "none" if not faults else "unknown" if unknown else "two" if len(faults) > 1 else "single"
     return RigCase(
         f"{rig}-{'-'.join(faults) or 'healthy'}".replace(" ", "-"), machine, category, causes, strength,
@@ -234,10 +224,11 @@ def _alike(one: str, other: str) -> bool:
 
 
 def _cause(rig: Rig, name: str, strength: float, random: np.random.Generator, tie: Tie | None = None) -> Cause:
-    fault: Fault = FAULTS[rig.plant][name]
-    must, may = (tie.must, tie.may) if tie else (frozenset[str](), frozenset[str]())
-    names = fault.names | must if tie else fault.names
-    return Cause(name, fault.draw(rig, strength, random), names, fault.tied | may, must, fault.near, fault.also)
+    fault = FAULTS[rig.plant][name]
+    settings = fault.draw(rig, strength, random)
+    if tie:
+        fault = replace(fault, names=fault.names | tie.must, tied=fault.tied | tie.may, must=tie.must)
+    return Cause(name, settings, fault)
 
 
 def _tied(rig: Rig, random: np.random.Generator, usual: tuple[str, ...]) -> tuple[tuple[Cause, ...], tuple[str, ...]]:

@@ -26,6 +26,7 @@ class Fault:
     draw: Draw
     names: frozenset[str] = frozenset()  # each of these is right; empty: outside the vocabulary
     tied: frozenset[str] = frozenset()  # may be listed too, as indistinguishable from it
+    must: frozenset[str] = frozenset()  # must all be listed: the recordings of the case cannot distinguish them
     near: frozenset[str] = frozenset()  # of a fault outside: names of a part of it (verdict incomplete)
     also: frozenset[str] = frozenset()  # an effect that comes with it and is named as well
 

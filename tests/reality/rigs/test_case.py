@@ -41,16 +41,16 @@ def test_shares_of_any_count_add_up_to_it(count):
 
 def test_every_case_matches_its_category():
     for case in draw(300, 5):
-        known = [c for c in case.causes if c.names]
+        known = [c for c in case.causes if c.right.names]
         match case.category:
             case "single" | "half":
                 assert len(known) == len(case.causes) == 1
                 assert case.strength == (0.5 if case.category == "half" else 1.0)
             case "two":
                 assert len(known) == 2
-                assert not known[0].names & known[1].names
+                assert not known[0].right.names & known[1].right.names
             case "set":
-                assert len(case.causes[0].must) >= 2
+                assert len(case.causes[0].right.must) >= 2
                 assert {c.fault for c in case.causes} <= FAULTS[case.rig.plant].keys()
             case "none":
                 assert not case.causes
