@@ -1,8 +1,9 @@
 """Reading of a rig's tables as trials, as its stage.yaml describes them."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,8 @@ EDGE_S = 1e-6
 # Share of rows without a reading from which there is a warning.
 _MANY = 0.5
 
+TableOf = Callable[[Path], Table]
+
 
 def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     """Read every trial of a stage.yaml.
@@ -32,17 +35,18 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     default the folder of the stage.yaml. Raises TrialError with one line for each mistake, with file, column and row.
     """
     base = path.parent if data is None else data
-    loaded: dict[Path, Table] = {}  # a file that serves many trials is read once
+    stages = load(path)
+    table_of = cache(partial(table_files.load, form=stages[0].form))  # a file that serves many trials is read once
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
     wrong: dict[str, None] = {}
-    for stage in load(path):
-        for recording in _split(recordings(path, base, stage), stage, loaded):
+    for stage in stages:
+        for recording in _split(recordings(path, base, stage), table_of):
             if isinstance(recording, TrialError):
                 wrong[str(recording)] = None
                 continue
             for element in stage.about.parts or ("",):
                 try:
-                    trial = _trial(stage, recording, element, base, loaded)
+                    trial = _trial(stage, recording, element, base, table_of)
                 except TrialError as error:
                     wrong[str(error)] = None
                     continue
@@ -65,30 +69,21 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
-def _split(
-    found: Iterable[Recording | TrialError], stage: Stage, loaded: dict[Path, Table]
-) -> Iterator[Recording | TrialError]:
+def _split(found: Iterable[Recording | TrialError], table_of: TableOf) -> Iterator[Recording | TrialError]:
     """Yield recordings, those of several trials in one file split by their column."""
     for recording in found:
         if isinstance(recording, TrialError) or recording.about.split is None:
             yield recording
             continue
         try:
-            tables = [_loaded(path, stage, loaded) for path in recording.files.values()]
+            tables = [table_of(path) for path in recording.files.values()]
             for number in np.unique(table_files.readings(tables[0], recording.about.split, blank=False)):
                 yield replace(recording, name=f"{recording.name}-{number:g}", only=float(number))
         except TrialError as error:
             yield error
 
 
-def _loaded(path: Path, stage: Stage, loaded: dict[Path, Table]) -> Table:
-    """Return a table, read once."""
-    if path not in loaded:
-        loaded[path] = table_files.load(path, stage.form)
-    return loaded[path]
-
-
-def _trial(stage: Stage, recording: Recording, element: str, base: Path, loaded: dict[Path, Table]) -> Trial:
+def _trial(stage: Stage, recording: Recording, element: str, base: Path, table_of: TableOf) -> Trial:
     about = stage.about
     read: dict[str, _Rows] = {}
     channels: dict[str, Series] = {}
@@ -100,8 +95,7 @@ def _trial(stage: Stage, recording: Recording, element: str, base: Path, loaded:
             missing[name] = f"trial {recording.name} names no file for it"
             continue
         path = recording.files[name]
-        table, place = _loaded(path, stage, loaded), about.elements.get(element)
-        read[name], found, zone = _rows(table, channel, recording, place)
+        read[name], found, zone = _rows(table_of(path), channel, recording, about.elements.get(element))
         zoned.setdefault(zone, f"{path}: column {channel.time.source}")
         warnings += found
     for name, rows in _within(read, recording).items():
