@@ -108,6 +108,7 @@ class Robot:
             raise ValueError(f"t_s is {t_s}; give a finite number of seconds")
         until = math.floor(t_s * RATE_HZ + 1e-6)
         plant, servo, regulator = self.plant, self._servo, self._regulator
+        loose_link = self.parameters.mocap.loose_link
         due_s = self._measure()
         while self._steps < until:
             # A command that arrives exactly now acts in this step.
@@ -116,8 +117,8 @@ class Robot:
             force = 0.0 if self.held else servo.step(t, plant.cart_position_m, plant.cart_velocity_m_s)
             plant.step(force, servo.friction_n, pressure)
             self._steps += 1
-            if self._cameras.loose_link:
-                self._cameras.shake(plant.end_velocity_m_s(self._cameras.loose_link), DT_S)
+            if loose_link:
+                self._cameras.shake(plant.end_velocity_m_s(loose_link), DT_S)
             if self.t_s + 1e-9 >= due_s:
                 due_s = self._measure()
 

@@ -56,11 +56,6 @@ class Cameras(Sensor[MocapFrame]):
         self._wobble_m_s = np.zeros(2)
         self._end_m_s: Array | None = None
 
-    @property
-    def loose_link(self) -> int:
-        """Return the link with the loose marker set (1 to 5), or 0."""
-        return self._p.loose_link
-
     def shake(self, end_velocity_m_s: tuple[float, float], dt_s: float) -> None:
         """Advance the loose marker set by a step: a damped spring connects it to its moving link."""
         velocity = np.array(end_velocity_m_s)

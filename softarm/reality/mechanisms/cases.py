@@ -15,7 +15,6 @@ from softarm.reality.mechanisms.robots import ROBOTS, JointLaw, Robot
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0
 OFF = 0.02  # largest share by which a healthy model's numbers are off
-STRENGTHS = (1.0, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +71,7 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     random = np.random.default_rng((seed, index))
     robot = list(ROBOTS.values())[index % len(ROBOTS)]
     laws, masses = _healthy(robot, random)
-    strength = STRENGTHS[1] if category == "half" else STRENGTHS[0]
+    strength = 0.5 if category == "half" else 1.0
     count = {"none": 0, "two": 2}.get(category, 1)
     table, causes = UNKNOWNS if category == "unknown" else FAULTS, []
     scales = scales_of(robot)
