@@ -18,7 +18,7 @@ from softarm.diagnosis.describe.survey import Signal, Survey
 from softarm.schemas.stage_model import DESCRIBED, MODEL_KEYS, ModelValue, StageKind, complaints
 
 Angles = Literal["absolute", "relative"]
-# Least correlation of a command and the column that follows it, and the lead in rows that decides.
+# Least correlation of a command and the column that follows it.
 FOLLOWS = 0.6
 _PLACES = ("m", "rad", "counts")
 _DRIVES = {"N": "force", "N m": "force", "A": "current", "V": "voltage"}
