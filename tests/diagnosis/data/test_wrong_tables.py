@@ -167,7 +167,7 @@ def _times(factor):
         (_headerless, r"seen.csv: no column t; it has no header, but 2 columns: name them by number, from 1"),
         (
             lambda rig: _other_file(rig, "seen.xlsx"),
-            r"seen.xlsx: tables are .csv, .* or .mat; export it as one of these",
+            r"seen.xlsx: tables are .csv, .*, .bag; export it as one of these",
         ),
         (lambda rig: _other_file(rig, "seen.parquet"), r"seen.parquet: cannot be read \(.*\); export it again"),
         (
