@@ -18,38 +18,20 @@ from softarm.schemas.messages import MocapFrame
 
 @dataclass(frozen=True, slots=True)
 class ApiContext:
-    """State and callbacks of the daemon that the endpoints use.
-
-    Attributes:
-        config: the configuration in force.
-        inbox: takes requests to the control loop.
-        snapshot: returns the outputs of the newest tick, or None before the first.
-        problems: returns the devices' present problems.
-        recorder: the log recorder, or None without one.
-        history: events of this run.
-        recent: the last minutes as columns.
-        policies: the policies on offer; None for the installed ones.
-        frame: returns the newest valid motion capture frame, or None.
-        simulated: True if the robot is simulated in this process.
-        sessions: logged-in browsers, shared with the dedicated stop port.
-        stop_port: returns the dedicated stop port, or None without one.
-        left_at: returns the time of a stop that the previous daemon left latched.
-        clock: CLOCK_MONOTONIC in ns.
-        wall_ns: Unix time in ns.
-    """
+    """State and callbacks of the daemon that the endpoints use."""
 
     config: Config
     inbox: Inbox
-    snapshot: Callable[[], Outputs | None]
-    problems: Callable[[], Problems] = Problems
+    snapshot: Callable[[], Outputs | None]  # of the newest tick; None before the first
+    problems: Callable[[], Problems] = Problems  # of the devices, at present
     recorder: Recorder | None = None
     history: History = field(default_factory=lambda: History("", time.monotonic_ns, time.time_ns))
     recent: Recent = field(default_factory=lambda: Recent(time.monotonic_ns, time.time_ns))
-    policies: Policies | None = None
-    frame: Callable[[], MocapFrame | None] = lambda: None
-    simulated: bool = False
-    sessions: Sessions | None = None
+    policies: Policies | None = None  # None for the installed ones
+    frame: Callable[[], MocapFrame | None] = lambda: None  # newest valid one
+    simulated: bool = False  # the robot is simulated in this process
+    sessions: Sessions | None = None  # shared with the dedicated stop port
     stop_port: Callable[[], int | None] = lambda: None
-    left_at: Callable[[], datetime | None] = lambda: None
+    left_at: Callable[[], datetime | None] = lambda: None  # time of a stop that the previous daemon left latched
     clock: Callable[[], int] = time.monotonic_ns
-    wall_ns: Callable[[], int] = time.time_ns
+    wall_ns: Callable[[], int] = time.time_ns  # Unix time

@@ -1,9 +1,9 @@
 """Runs slow work in threads that neither the next request nor the end of the service waits for."""
 
 import asyncio
-import contextlib
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import TypeVar
 
 from softarm.daemon.api.refusals import Refused
@@ -21,41 +21,29 @@ class Workers:
     async def run(self, name: str, work: Callable[[], Result]) -> Result:
         """Run `work` in a thread and return its result or raise its exception.
 
-        Args:
-            name: of the work, for refusals.
-            work: called without arguments in the worker thread.
-
         Raises:
             Refused: 503 if all places are taken, 504 if the work exceeds the time limit.
         """
         if not self._places.acquire(blocking=False):
             reason = f"{name}: {self._at_once} of these are running already. Retry later, or restart the service"
             raise Refused(503, reason)
-        loop = asyncio.get_running_loop()
-        answer: asyncio.Future[Result] = loop.create_future()
-
-        def finish(result: Result | None, error: BaseException | None) -> None:
-            if answer.cancelled():
-                return
-            if error is None:
-                answer.set_result(result)  # type: ignore[arg-type]
-            else:
-                answer.set_exception(error)
+        answer: Future[Result] = Future()
+        answer.set_running_or_notify_cancel()  # from now on the time limit cannot cancel it
 
         def execute() -> None:
-            result, error = None, None
             try:
                 result = work()
             except BaseException as raised:  # includes a plug-in that calls sys.exit()
-                error = raised if isinstance(raised, Exception) else RuntimeError(f"{type(raised).__name__}: {raised}")
-            finally:
                 self._places.release()
-            with contextlib.suppress(RuntimeError):  # the API has stopped
-                loop.call_soon_threadsafe(finish, result, error)
+                error = raised if isinstance(raised, Exception) else RuntimeError(f"{type(raised).__name__}: {raised}")
+                answer.set_exception(error)
+            else:
+                self._places.release()
+                answer.set_result(result)
 
         threading.Thread(target=execute, name=f"worker: {name}", daemon=True).start()
         try:
             async with asyncio.timeout(self._limit_s):
-                return await answer
+                return await asyncio.wrap_future(answer)
         except TimeoutError as error:
             raise Refused(504, f"{name}: not finished within {self._limit_s:g} s; abandoned") from error

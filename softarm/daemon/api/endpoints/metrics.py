@@ -16,14 +16,7 @@ Samples = Iterable[tuple[str, float]]  # written labels and value
 
 
 def exposition(view: StatusView, history: History, dropped: int, free_bytes: int | None) -> str:
-    """Return all metrics available now.
-
-    Args:
-        view: the robot's status.
-        history: events and lateness of this run.
-        dropped: ticks that the recorder dropped.
-        free_bytes: free space on the disk of the logs, or None if unknown.
-    """
+    """Return all metrics available now, from the ticks dropped by the recorder and the disk's free space if known."""
     outputs = view.snapshot()
     events = [(f'{{kind="{kind}",what="{what}"}}', n) for (kind, what), n in history.counts.items()]
     free = [] if free_bytes is None else [("", free_bytes)]

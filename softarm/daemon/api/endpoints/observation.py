@@ -7,20 +7,24 @@ from typing import Any
 from fastapi import APIRouter, WebSocket
 from fastapi.responses import Response
 
+from softarm import __version__
 from softarm.daemon.api.bounds import STREAMS_MAX
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.endpoints import metrics
 from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX
-from softarm.daemon.api.endpoints.robot import robot_answer
 from softarm.daemon.api.refusals import Refused, answers, content, json_response, query_integer, refusal
 from softarm.daemon.api.status import Status, StatusView
 from softarm.daemon.api.stream import stream
 from softarm.daemon.api.workers import Workers
+from softarm.daemon.control.workspace import HINGE_Z_M
 from softarm.daemon.logbook import folder
 from softarm.daemon.logbook.history import KEPT
 from softarm.daemon.logbook.recent import KEPT_S
+from softarm.schemas.flights import BOARD_BELOW_M
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Arm
 from softarm.schemas.rest import EventsAnswer, Health, RecentAnswer, RobotAnswer
-from softarm.schemas.robot import CONTROL_RATE_HZ
+from softarm.schemas.robot import CONTROL_RATE_HZ, RAIL_TRAVEL_M
 
 RECENT_S = 10.0  # time limit for encoding the last minutes
 UNHEALTHY: dict[int | str, dict[str, Any]] = {
@@ -51,7 +55,30 @@ class Observation:
 
     async def robot(self) -> Response:
         """Return the constants of this run: dimensions, limits and the dedicated stop port."""
-        return json_response(robot_answer(self._context).model_dump_json())
+        config = self._context.config
+        rail, pressure, goals = config.limits.rail, config.limits.pressure, config.goals
+        links = Arm().link_length_m
+        answer = RobotAnswer(
+            version=__version__,
+            run=self._context.history.run,
+            simulated=self._context.simulated,
+            stop_port=self._context.stop_port(),
+            rate_hz=config.control.rate_hz,
+            bodies=BODY_NAMES,
+            hinge_z_m=HINGE_Z_M,
+            link_length_m=links,
+            reach_m=sum(links) + goals.success_radius_m,
+            rail_travel_m=(-RAIL_TRAVEL_M, RAIL_TRAVEL_M),
+            rail_limit_m=(rail.position_min_m, rail.position_max_m),
+            rail_margin_m=rail.margin_m,
+            cart_velocity_max_m_s=rail.velocity_max_m_s,
+            pressure_limit_kpa=(pressure.min_kpa, pressure.max_kpa),
+            workspace=goals.workspace,
+            success_radius_m=goals.success_radius_m,
+            time_limit_s=goals.time_limit_s,
+            shelf_board_below_m=BOARD_BELOW_M,
+        )
+        return json_response(answer.model_dump_json())
 
     async def get_recent(self, seconds: str = "60") -> Response:
         """Return the last `seconds` (1 to 600) as columns for charts, in whole seconds."""
@@ -75,7 +102,7 @@ class Observation:
     async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
         """Return `limit` events: the newest, or with `since` the oldest after that number."""
         history = self._context.history
-        after = None if since is None else query_integer("since", since, 0, None)
+        after = None if since is None else query_integer("since", since, 0)
         found = history.after(after, query_integer("limit", limit, 1, KEPT))
         kept = history.entries
         ends = (kept[0].number, kept[-1].number) if kept else (None, None)
