@@ -29,11 +29,7 @@ class Changes:
     """Derives events from ticks in their order."""
 
     def __init__(self, time_of: Callable[[int], datetime]) -> None:
-        """Start without a previous tick.
-
-        Args:
-            time_of: converts a stamp of CLOCK_MONOTONIC, ns, to UTC.
-        """
+        """Start without a previous tick; `time_of` converts a stamp of CLOCK_MONOTONIC, ns, to UTC."""
         self._time_of = time_of
         self._before: Outputs | None = None
         self._lost: dict[str, tuple[int, int]] = {}  # device -> first and last tick without answer, ns

@@ -101,12 +101,6 @@ def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float |
     """Delete the recorder's oldest logs until the rest is within `keep_mb` and `keep_days`, if these are set.
 
     A log being written by this or another daemon is never deleted. Raises OSError.
-
-    Args:
-        directory: of the logs.
-        own: log being written.
-        settings: with the limits.
-        now_s: Unix time; default: now.
     """
     keep_s = math.inf if settings.keep_days is None else settings.keep_days * 86_400
     keep_bytes = math.inf if settings.keep_mb is None else settings.keep_mb * 1e6

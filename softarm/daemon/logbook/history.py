@@ -23,14 +23,8 @@ class History:
     """Newest entries of the daemon's present run."""
 
     def __init__(self, run: str, monotonic_ns: Callable[[], int], wall_ns: Callable[[], int]) -> None:
-        """Start an empty history.
-
-        Args:
-            run: identifier of the run; clients detect a restart by it.
-            monotonic_ns: CLOCK_MONOTONIC.
-            wall_ns: Unix time.
-        """
-        self.run = run
+        """Start an empty history; the clocks return CLOCK_MONOTONIC and Unix time."""
+        self.run = run  # clients detect a restart by it
         self.entries: tuple[Entry, ...] = ()  # oldest first
         self.counts: dict[tuple[EventKind, str], int] = {}  # (kind, what) -> number since the start
         self.lateness = [0] * (len(LATE_NS) + 1)  # ticks per bin, the last bin without upper bound

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -103,15 +104,14 @@ class Recorder:
         Raises:
             RecorderError: the directory cannot be written or its disk is full.
         """
-        if not self._settings.enabled:
-            self._writer = threading.Thread(target=self._watch, name="recorder", daemon=True)
-            self._writer.start()
-            return
-        try:
-            self.path, file = folder.new_log(self._settings.directory, self._wall_ns())
-        except OSError as error:
-            raise RecorderError(folder.advice(self._settings.directory, error)) from error
-        self._writer = threading.Thread(target=self._write, args=(self.path, file), name="recorder", daemon=True)
+        work: Callable[[], None] = self._watch
+        if self._settings.enabled:
+            try:
+                self.path, file = folder.new_log(self._settings.directory, self._wall_ns())
+            except OSError as error:
+                raise RecorderError(folder.advice(self._settings.directory, error)) from error
+            work = partial(self._write, self.path, file)
+        self._writer = threading.Thread(target=work, name="recorder", daemon=True)
         self._writer.start()
 
     def stop(self) -> None:
@@ -190,16 +190,14 @@ class Recorder:
         return due and time.monotonic() >= self._next_try_s
 
     def _following(self) -> tuple[Path, BinaryIO] | None:
-        """Return the next file, or None to continue the full one."""
+        """Return the next file, or None if it cannot be created now: then a full one is continued."""
         try:
             return folder.new_log(self._settings.directory, self._wall_ns())
         except OSError as error:
             self._next_try_s = time.monotonic() + RETRY_S
-            log.warning(
-                "the next log cannot be created: %s; continuing %s",
-                folder.advice(self._settings.directory, error),
-                self.path,
-            )
+            if self.problem is None:
+                why = folder.advice(self._settings.directory, error)
+                log.warning("the next log cannot be created: %s; continuing %s", why, self.path)
             return None
 
     def _drain(self, live: TickFile, ends: Callable[[], bool] = lambda: False) -> bool:
@@ -291,15 +289,9 @@ class Recorder:
         self._next_try_s = time.monotonic() + RETRY_S
         while not self._stopping.wait(self._settings.flush_interval_s):
             self._drop()
-            if time.monotonic() < self._next_try_s:
-                continue
-            self._next_try_s = time.monotonic() + RETRY_S
-            try:
-                following = folder.new_log(self._settings.directory, self._wall_ns())
-            except OSError:
-                continue
-            log.info("recording continues: %s", following[0])
-            return following
+            if time.monotonic() >= self._next_try_s and (following := self._following()) is not None:
+                log.info("recording continues: %s", following[0])
+                return following
         return None
 
     def _tidy_up(self, own: Path) -> None:

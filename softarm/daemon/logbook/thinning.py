@@ -21,12 +21,7 @@ class Thinning:
     """Selects the ticks to be written, in their order."""
 
     def __init__(self, interval_s: float, around_s: float) -> None:
-        """Start empty.
-
-        Args:
-            interval_s: between the kept ticks of an unchanged arm; 0 keeps all.
-            around_s: time around a change that is kept completely.
-        """
+        """Keep a tick per interval of an unchanged arm (0: all), and all ticks around a change."""
         self._interval_ns, self._around_ns = round(interval_s * 1e9), round(around_s * 1e9)
         self._waiting: deque[Tick] = deque()
         self._before: Outputs | None = None  # of the tick before

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import Future, wait
 
 from softarm.policies import trial
 from softarm.policies.base import Policy, PolicyError
@@ -20,26 +21,21 @@ def first_policy(config: Config, over: threading.Event, loading_s: float = LOADI
         PolicyError: The policy cannot be used or was not loaded in time.
     """
     name = config.control.policy
-    answers: list[Policy | PolicyError] = []
+    answer: Future[Policy] = Future()
 
     def load() -> None:
         try:
-            answers.append(trial.load(name, config.policies, min(trial.TRIAL_S, loading_s)))
+            answer.set_result(trial.load(name, config.policies, min(trial.TRIAL_S, loading_s)))
         except PolicyError as error:
-            answers.append(error)
+            answer.set_exception(error)
         except BaseException as error:  # including sys.exit() in a plug-in
-            answers.append(PolicyError(f"{type(error).__name__}: {error}"))
+            answer.set_exception(PolicyError(f"{type(error).__name__}: {error}"))
 
-    loader = threading.Thread(target=load, name=f"loading {name}", daemon=True)
-    loader.start()
+    threading.Thread(target=load, name=f"loading {name}", daemon=True).start()
     deadline_s = time.monotonic() + loading_s
-    while loader.is_alive():
+    while not wait((answer,), POLL_S).done:
         if over.is_set():
             return None
         if time.monotonic() > deadline_s:
             raise PolicyError(f"policy '{name}': was not loaded within {loading_s:g} s; repair it or choose another")
-        loader.join(POLL_S)
-    answer = answers[0]
-    if isinstance(answer, PolicyError):
-        raise answer
-    return answer
+    return answer.result()
