@@ -16,19 +16,12 @@ TICKET_S, TICKETS_MAX = 10.0, 64
 
 
 class SecretStore:
-    """Store of issued secrets, limited in number; each has a role and a lifetime."""
+    """Store of issued secrets, each with a role and a lifetime; a new one beyond the maximum deletes the oldest."""
 
     def __init__(
         self, seconds: float, number_max: int, clock: Callable[[], float], afterwards: Role | None = None
     ) -> None:
-        """Create an empty store.
-
-        Args:
-            seconds: lifetime of a secret.
-            number_max: a new secret beyond it deletes the oldest.
-            clock: returns seconds.
-            afterwards: role of an expired secret until it is deleted; None makes it invalid.
-        """
+        """Create an empty store; `afterwards` is the role of an expired secret until it is deleted."""
         self._seconds, self._number_max, self._clock = seconds, number_max, clock
         self._afterwards = afterwards
         self._held: dict[str, tuple[Role, float]] = {}  # oldest first; role and expiry in s
@@ -60,16 +53,10 @@ class Sessions:
     """Sessions of logged-in browsers and tickets for streams."""
 
     def __init__(self, port: int, clock: Callable[[], float] = time.monotonic) -> None:
-        """Create the stores of one API.
-
-        Args:
-            port: the API's port, part of the cookie's name because cookies are shared by all ports of a host.
-            clock: returns seconds.
-        """
-        self._cookie = f"softarm-{port}"
-        self.logins = SecretStore(
-            LOGIN_S, LOGINS_MAX, clock, Role.STOP
-        )  # the stop button of a page left open keeps working
+        """Create the stores of the API at a port."""
+        self._cookie = f"softarm-{port}"  # cookies are shared by all ports of a host
+        # An expired log-in may still stop: the button of a page left open keeps working.
+        self.logins = SecretStore(LOGIN_S, LOGINS_MAX, clock, Role.STOP)
         self.tickets = SecretStore(TICKET_S, TICKETS_MAX, clock)
 
     def of(self, headers: Mapping[bytes, bytes]) -> str:

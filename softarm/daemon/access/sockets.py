@@ -58,17 +58,18 @@ def try_out(host: str, port: int, key: str) -> None:
 
 def holder(port: int) -> str | None:
     """Return a description of the process that listens at a TCP port, or None if none is visible."""
-    inodes = {f"socket:[{inode}]" for table in ("tcp", "tcp6") for inode in _listening(Path("/proc/net", table), port)}
-    for process in holders(inodes):
+    rows = [*entries(Path("/proc/net/tcp")), *entries(Path("/proc/net/tcp6"))]
+    listening = [row for row in rows if row[3] == LISTENS and int(row[1].rpartition(":")[2], 16) == port]
+    for process in holders({f"socket:[{row[9]}]" for row in listening}):
         with contextlib.suppress(OSError):  # the process has ended meanwhile
             command = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
             return f"process {process.name} ({shlex.join(command[:-1])[:80]})"
     return None
 
 
-def _listening(table: Path, port: int) -> list[str]:
+def entries(table: Path) -> list[list[str]]:
+    """Return the columns of each socket in a table such as /proc/net/tcp (proc(5)); none if it cannot be read."""
     try:
-        rows = [line.split() for line in table.read_text().splitlines()[1:]]
+        return [line.split() for line in table.read_text().splitlines()[1:]]
     except OSError:
         return []
-    return [row[9] for row in rows if row[3] == LISTENS and int(row[1].rpartition(":")[2], 16) == port]

@@ -87,39 +87,28 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
 
 def _derived(config: Config) -> Iterator[LimitRow]:
     rail, pressure, period_s = config.limits.rail, config.limits.pressure, 1 / config.control.rate_hz
-    speed = rail.velocity_max_m_s
-    hold_s = config.drivers.rail.hold_s
+    speed, hold_s = rail.velocity_max_m_s, config.drivers.rail.hold_s
     stopping_m = speed * (rail.latency_s + hold_s) + speed**2 / (2 * rail.braking_m_s2)
 
-    def row(key: str, value: float, unit: str, how: str) -> LimitRow:
-        return LimitRow(key, f"{value:.4g}", unit, how, "derived")
-
-    yield row("tick", period_s * 1e3, "ms", "1 / control.rate_hz")
-    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)")
-    yield row(
-        "full speed towards +y up to",
-        rail.position_max_m - rail.margin_m - stopping_m,
-        "m",
-        "position_max - margin - stopping distance",
-    )
-    yield row(
-        "full speed towards -y down to",
-        rail.position_min_m + rail.margin_m + stopping_m,
-        "m",
-        "position_min + margin + stopping distance",
-    )
-    yield row("pressure step per tick", pressure.slew_max_kpa_s * period_s, "kPa", "slew_max x tick")
-    ticks = math.ceil((pressure.max_kpa - pressure.min_kpa) / (pressure.slew_max_kpa_s * period_s) - 1e-9)
-    yield row("full pressure range in", ticks, "ticks", "(max - min) / step")
-    address, how = f"{config.api.host}:{config.api.stops_at}", "api.stop_port, or the one after api.port"
-    yield LimitRow("stop port", address, "", how, "derived")
+    step_kpa = pressure.slew_max_kpa_s * period_s
+    ticks = math.ceil((pressure.max_kpa - pressure.min_kpa) / step_kpa - 1e-9)
     roles = [role.name.lower() for role, key in TOKEN_FILES.items() if getattr(config.api, key) is not None]
-    who = f"clients with a token: {', '.join(roles)}" if roles else "programs on this computer"
-    yield LimitRow("clients of the API", who, "", "api.token_file, view_token_file, stop_token_file", "derived")
-    where, how = (
-        str(latch_path(config)),
-        "in the service's state directory, else recorder.directory; named after the axis",
+    clients = f"clients with a token: {', '.join(roles)}" if roles else "programs on this computer"
+    latch_folder = "in the service's state directory, else recorder.directory; named after the axis"
+    highest_m = rail.position_max_m - rail.margin_m - stopping_m
+    lowest_m = rail.position_min_m + rail.margin_m + stopping_m
+    stop_address = f"{config.api.host}:{config.api.stops_at}"
+    rows: tuple[tuple[str, float | str, str, str], ...] = (
+        ("tick", period_s * 1e3, "ms", "1 / control.rate_hz"),
+        ("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)"),
+        ("full speed towards +y up to", highest_m, "m", "position_max - margin - stopping distance"),
+        ("full speed towards -y down to", lowest_m, "m", "position_min + margin + stopping distance"),
+        ("pressure step per tick", step_kpa, "kPa", "slew_max x tick"),
+        ("full pressure range in", ticks, "ticks", "(max - min) / step"),
+        ("stop port", stop_address, "", "api.stop_port, or the one after api.port"),
+        ("clients of the API", clients, "", "api.token_file, view_token_file, stop_token_file"),
+        ("latch of the emergency stop", str(latch_path(config)), "", latch_folder),
+        ("policy's share of a tick", 100 * config.failsafe.policy_budget_s / period_s, "%", "policy_budget / tick"),
     )
-    yield LimitRow("latch of the emergency stop", where, "", how, "derived")
-    share = 100 * config.failsafe.policy_budget_s / period_s
-    yield row("policy's share of a tick", share, "%", "policy_budget / tick")
+    for key, value, unit, how in rows:
+        yield LimitRow(key, value if isinstance(value, str) else f"{value:.4g}", unit, how, "derived")

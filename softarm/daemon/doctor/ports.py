@@ -92,10 +92,9 @@ def is_connected(host: str, port: int) -> bool:
     """Return whether this computer holds a connection to an IPv4 address, from /proc/net/tcp."""
     try:
         wanted = f"{struct.unpack('=I', socket.inet_aton(host))[0]:08X}:{port:04X}"
-        lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
     except OSError:
         return False
-    return any(line.split()[2:4] == [wanted, ESTABLISHED] for line in lines)
+    return any(row[2:4] == [wanted, ESTABLISHED] for row in sockets.entries(Path("/proc/net/tcp")))
 
 
 def holder(path: str) -> str | None:
@@ -125,11 +124,8 @@ def judge_serial(facts: Serial) -> Iterator[Finding]:
             join = "install the udev rule (`softarm service install`), which gives it to dialout"
         yield problem("regulator", f"{facts.path} belongs to {facts.group}, not {facts.user}", join)
     elif facts.holder is not None:
-        yield problem(
-            "regulator",
-            f"{facts.path} is held by {facts.holder}",
-            "end that program, which blocks the device",
-        )
+        advice = "end that program, which blocks the device"
+        yield problem("regulator", f"{facts.path} is held by {facts.holder}", advice)
     else:
         yield ok("regulator", f"{facts.path} is readable and writable")
 
