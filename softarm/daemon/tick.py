@@ -58,12 +58,7 @@ class Controller:
         return self._observer.good
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
-        """Decide on the command of one tick.
-
-        Args:
-            inputs: Readings and requests of this tick.
-            runners: Loaded policies of this tick's policy requests, by request number.
-        """
+        """Decide on the command of one tick; `runners` are the loaded policies of its policy requests by number."""
         self._tick += 1
         self._missed_total += inputs.missed
         if inputs.latched is not None:

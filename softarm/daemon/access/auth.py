@@ -70,19 +70,15 @@ def load_tokens(config: Api) -> dict[Role, str]:
 
 
 def _read(key: str, path: Path) -> str:
+    advice = "make one with `openssl rand -hex 32`"
     try:
         token = path.read_text(encoding="ascii").strip()
         mode = path.stat().st_mode
     except (OSError, UnicodeError) as error:
-        raise AuthError(key, f"api.{key} {path}: cannot be read ({error}); make one with `openssl rand -hex 32`") from (
-            error
-        )
+        raise AuthError(key, f"api.{key} {path}: cannot be read ({error}); {advice}") from error
     if len(token) < TOKEN_MIN or any(c.isspace() for c in token):
-        raise AuthError(
-            key,
-            f"api.{key} {path}: holds {len(token)} characters; allowed: one word, {TOKEN_MIN} or more; "
-            "make one with `openssl rand -hex 32`",
-        )
+        held = f"holds {len(token)} characters; allowed: one word, {TOKEN_MIN} or more"
+        raise AuthError(key, f"api.{key} {path}: {held}; {advice}")
     if mode & 0o007:
         raise AuthError(key, f"api.{key} {path}: every user of this machine can open it; `chmod o= {path}`")
     return token
@@ -135,10 +131,7 @@ class AccessControl:
             return 401, "this API requires a token: send the text in api.token_file as `Authorization: Bearer TOKEN`"
         holds = session if given is None else self._holds(given)
         if holds is None:
-            return (
-                401,
-                "the token is wrong: send the text in api.token_file as `Authorization: Bearer TOKEN`",
-            )
+            return 401, "the token is wrong: send the text in api.token_file as `Authorization: Bearer TOKEN`"
         if holds < role:
             may = "view and stop" if holds is Role.VIEW else "stop"
             return 403, f"this token may only {may}: use the token of api.{TOKEN_FILES[role]}"

@@ -130,14 +130,10 @@ class Outputs:
     reset_devices: bool = False  # an acknowledgement also sends a fault reset to the devices
 
     def has_stopped(self, number: int, asked_ns: int) -> bool:
-        """Return whether a stop request was carried out.
+        """Return whether the stop request that was in the inbox at `asked_ns` was carried out.
 
         A later tick with an engaged or latched stop counts as well: the request's own result is lost in a flood of
         requests or in a failed tick.
-
-        Args:
-            number: Number of the request.
-            asked_ns: Time at which the request was in the inbox.
         """
         held = self.t_ns >= asked_ns and self.estop is not EStop.CLEAR
         return held or any(result.number == number and result.accepted for result in self.results)

@@ -24,19 +24,19 @@ class Filtered(NamedTuple):
 class SafetyFilter:
     """Filter for position, velocity and acceleration of the cart and for pressure and slew of the muscle."""
 
-    def __init__(self, limits: Limits, period_s: float, drive_ramp_m_s2: float | None, hold_s: float) -> None:
+    def __init__(self, limits: Limits, period_s: float, drive_ramp_m_s2: float, hold_s: float) -> None:
         """Create a filter that has sent nothing yet.
 
         Args:
             limits: Limits of cart and muscle.
             period_s: Duration of a tick.
-            drive_ramp_m_s2: Acceleration ramp of the drive, or None if it has none.
+            drive_ramp_m_s2: Acceleration ramp of the drive.
             hold_s: The rail's link brakes if no set-point arrives for this long.
         """
         self._rail = limits.rail
         self._pressure = limits.pressure
         self._period_s = period_s
-        self._slews = drive_ramp_m_s2 is None or drive_ramp_m_s2 > limits.rail.acceleration_max_m_s2
+        self._slews = drive_ramp_m_s2 > limits.rail.acceleration_max_m_s2
         self._law = limits.rail.braking_law(hold_s)
         self.sent: deque[tuple[int, float]] = deque()  # time (ns) and velocity (m/s) that may still act
         self._remembered_ns = round((KNOWN_S + hold_s + self._law.latency_s) * 1e9)

@@ -85,9 +85,8 @@ def judge(facts: Software) -> Iterator[Finding]:
     if version[:2] < oldest:
         yield problem("Python", f"{text}; required {span}", "use a newer Python: docs/install.md")
     elif version[:2] > newest:
-        yield warning(
-            "Python", f"{text}; tested {span}", "if a package fails, create the environment with a tested version"
-        )
+        advice = "if a package fails, create the environment with a tested version"
+        yield warning("Python", f"{text}; tested {span}", advice)
     else:
         yield ok("Python", text)
     from_checkout = "" if facts.revision.startswith("unknown") else f" ({facts.revision})"
@@ -100,9 +99,8 @@ def judge(facts: Software) -> Iterator[Finding]:
         yield ok("packages", f"all {len(facts.core)} packages of the daemon")
     for extra, packages in facts.extras.items():
         if lacking := [each.name for each in packages if not each.fits]:
-            yield ok(
-                f"extra {extra}", f"lacks {', '.join(lacking)}", f"pip install 'softarm[{extra}]', for {EXTRAS[extra]}"
-            )
+            advice = f"pip install 'softarm[{extra}]', for {EXTRAS[extra]}"
+            yield ok(f"extra {extra}", f"lacks {', '.join(lacking)}", advice)
         else:
             yield ok(f"extra {extra}", "complete")
 

@@ -57,15 +57,7 @@ def tolerance_bound(values: Array, seconds: float, *, least: bool = False) -> Bo
     """Return a bound of SHARE of all values with confidence SURE, for any distribution.
 
     It is an order statistic (Wilks 1941). With fewer than 299 values it is the most extreme value, which bounds a
-    smaller share.
-
-    Args:
-        values: Measured events.
-        seconds: Their total duration.
-        least: Bound from below, not from above.
-
-    Returns:
-        The bound, or None if its share is below SHARE_MIN.
+    smaller share; with fewer than COUNT_MIN it is None. `seconds` is the total duration of the values.
     """
     count = len(values)
     if count < COUNT_MIN:

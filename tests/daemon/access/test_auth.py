@@ -35,20 +35,10 @@ def test_loopback_refuses_foreign_pages_on_the_stream_too(loop, app, serving):
     assert b"may not command this robot" in refusal.value.response.body
 
 
-@pytest.mark.parametrize(
-    ("host", "expected"),
-    [
-        ("127.0.0.1", True),
-        ("127.9.9.9", True),
-        ("::1", True),
-        ("localhost", True),
-        ("0.0.0.0", False),
-        ("192.168.1.4", False),
-        ("robot.example", False),
-    ],
-)
-def test_loopback_is_known(host, expected):
-    assert is_loopback(host) is expected
+@pytest.mark.parametrize("expected", [True, False])
+def test_loopback_is_known(expected):
+    hosts = {True: "127.0.0.1 127.9.9.9 ::1 localhost", False: "0.0.0.0 192.168.1.4 robot.example"}
+    assert {is_loopback(host) for host in hosts[expected].split()} == {expected}
 
 
 def test_another_address_requires_a_token(loop, app):
@@ -89,14 +79,11 @@ def test_with_a_token_every_request_needs_it(loop, tokens, app, client_of):
     assert client.get("/api/status", headers=right).status_code == 200
 
 
+NAMES = {"stop_token_file": "stop", "view_token_file": "view", "token_file": "command"}
 ROLES = {"stop_token_file": "s" * 32, "view_token_file": "v" * 32, "token_file": TOKEN}
-NAMED = {"stop_token_file": "stop", "view_token_file": "view", "token_file": "command"}
 MAY = {  # the least of them that may
     ("GET", "/api/status"): "view_token_file",
     ("HEAD", "/api/status"): "view_token_file",
-    ("GET", "/api/health"): "view_token_file",
-    ("GET", "/api/goal"): "view_token_file",
-    ("GET", "/api/policies"): "view_token_file",
     ("GET", "/api/logs"): "view_token_file",
     ("GET", "/openapi.json"): "view_token_file",
     ("GET", "/api/stop"): "view_token_file",
@@ -104,9 +91,6 @@ MAY = {  # the least of them that may
     ("PUT", "/api/stop"): "token_file",
     ("POST", "/api/stop/"): "token_file",
     ("POST", "/api/arm"): "token_file",
-    ("POST", "/api/disarm"): "token_file",
-    ("POST", "/api/acknowledge"): "token_file",
-    ("POST", "/api/goal"): "token_file",
     ("DELETE", "/api/goal"): "token_file",
     ("PUT", "/api/policy"): "token_file",
     ("DELETE", "/api/logs/flight.mcap"): "token_file",
@@ -130,7 +114,7 @@ def test_each_role_includes_the_lower_ones_only(loop, roles, app, client_of, key
         assert (answer.status_code not in (401, 403)) is allowed, asked
         if not allowed and asked[0] != "HEAD":
             assert f"use the token of api.{least}" in answer.json()["detail"], asked
-    assert {post.request.who for post in loop.taken} == {f"the API ({NAMED[key]} token)"}
+    assert {post.request.who for post in loop.taken} == {f"the API ({NAMES[key]} token)"}
 
 
 def test_the_stream_needs_the_view_role(loop, roles, app, serving):
