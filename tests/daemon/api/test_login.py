@@ -59,37 +59,24 @@ def test_without_a_login_the_answer_says_so(client):
 
 
 @pytest.mark.parametrize(
-    ("key", "may"),
-    [
-        ("token_file", {"/api/arm": 200, "/api/stop": 200, "/api/ticket": 200, "/api/logout": 200}),
-        ("view_token_file", {"/api/arm": 403, "/api/stop": 200, "/api/ticket": 200, "/api/logout": 200}),
-        ("stop_token_file", {"/api/arm": 403, "/api/stop": 200, "/api/ticket": 403, "/api/logout": 200}),
-    ],
+    ("key", "arm", "ticket"), [("token_file", 200, 200), ("view_token_file", 403, 200), ("stop_token_file", 403, 403)]
 )
-def test_a_login_has_the_role_of_its_token(client, key, may):
+def test_a_login_has_the_role_of_its_token(client, key, arm, ticket):
     page = logged_in(client, key)
+    may = {"/api/arm": arm, "/api/stop": 200, "/api/ticket": ticket, "/api/logout": 200}
     assert {path: client.post(path, headers=page).status_code for path in may} == may
 
 
 FOREIGN = (None, "null", "http://evil.example", f"https://{HOST}", f"http://{HOST}:81", f"http://{HOST}.evil.example")
 
 
-@pytest.mark.parametrize(
-    "asked",
-    [
-        ("POST", "/api/arm"),
-        ("POST", "/api/stop"),
-        ("DELETE", "/api/goal"),
-        ("PUT", "/api/policy"),
-        ("POST", "/api/ticket"),
-        ("POST", "/api/logout"),
-    ],
-)
+@pytest.mark.parametrize("asked", ["POST /api/arm", "POST /api/stop", "DELETE /api/goal", "PUT /api/policy"])
 def test_a_change_by_cookie_must_come_from_a_page_of_this_api(client, loop, asked):
     page = logged_in(client)
     for origin in FOREIGN:
         headers = page | {"Origin": origin}
-        answer = client.request(*asked, headers={name: value for name, value in headers.items() if value is not None})
+        headers = {name: value for name, value in headers.items() if value is not None}
+        answer = client.request(*asked.split(), headers=headers)
         assert answer.status_code == 403, origin
         assert "allowed are pages of this API" in answer.json()["detail"]
         assert loop.taken == []
@@ -157,10 +144,8 @@ def test_without_tokens_no_login_is_needed(loop, app, client_of):
     client = client_of(app(loop))
     assert client.get("/api/login").json() == {"needed": False, "role": "command"}
     answer = client.post("/api/login", json={"token": "c" * 32})
-    assert (answer.status_code, answer.json()["detail"]) == (
-        409,
-        "this API requires no token, so there is no log-in",
-    )
+    assert answer.status_code == 409
+    assert answer.json()["detail"] == "this API requires no token, so there is no log-in"
 
 
 def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, serving, files):
@@ -200,19 +185,11 @@ def test_behind_a_tls_proxy_the_cookie_is_secure_and_its_pages_are_allowed(loop,
 
 
 @pytest.mark.parametrize(
-    "origin",
-    [
-        "arm.example",
-        "http://arm.example",
-        "https://arm.example/",
-        "https://Arm.example",
-        "https://arm.example:443",
-        "https://",
-    ],
+    "origin", ["arm.example", "http://{}", "https://{}/", "https://Arm.example", "https://{}:443", "https://"]
 )
 def test_a_public_origin_must_have_the_form_that_browsers_send(files, origin):
     with pytest.raises(ValueError, match=r"allowed https://HOST or https://HOST:PORT as a browser shows it"):
-        Api(public_origin=origin, **files)
+        Api(public_origin=origin.format("arm.example"), **files)
 
 
 def test_a_public_origin_needs_a_token():

@@ -113,6 +113,7 @@ def test_a_used_port_and_a_foreign_address_are_reported(drive):
     assert f"api.port {taken}: cannot listen there, process {os.getpid()} (" in used.figure
     assert "choose another api.port" in used.figure
     assert foreign.figure.startswith(f"drivers.mocap.endpoint 203.0.113.7:{taken}: cannot listen there (")
+    assert "name an address of this machine" in foreign.figure
     assert [each.name for each in ports.listening(config, wires=False)] == ["api.port"]
     drive.close()
     assert only(ports.listening(config, wires=False)).state is State.OK

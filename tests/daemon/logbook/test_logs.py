@@ -220,24 +220,18 @@ ENTRIES = [("request", 3, "arm requested from the terminal"), ("mode", 4, "disar
 
 
 def test_a_log_has_its_events_in_wall_time(tmp_path):
-    path = tmp_path / "a.mcap"
-    box = Recorder(
-        Config(recorder={"directory": tmp_path}),
-        PolicySpec("reach", "test"),
-        monotonic_ns=lambda: 0,
-        wall_ns=lambda: 1_800_000_000_000_000_000,
-    )
+    clocks = {"monotonic_ns": lambda: 0, "wall_ns": lambda: 1_800_000_000_000_000_000}
+    box = Recorder(Config(recorder={"directory": tmp_path}), PolicySpec("reach", "test"), **clocks)
     box.start()
     for one in run_of_six():
         box.tick(*one)
     box.stop()
-    path = box.path
-    entries = list(logs.read(path).entries())
+    entries = list(logs.read(box.path).entries())
     assert [(e.kind, e.tick, e.text) for e in entries] == ENTRIES
     assert [e.number for e in entries] == [1, 2]
     assert entries == list(box.history.entries)
     assert entries[1].time.isoformat() == "2027-01-15T08:00:01.133333+00:00"
-    assert len(list(logs.read(path))) == 6
+    assert len(list(logs.read(box.path))) == 6
 
 
 def test_the_events_of_a_log_without_events_are_derived_from_its_ticks(tmp_path):

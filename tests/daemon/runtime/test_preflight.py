@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from softarm.common import realtime
-from softarm.daemon.access.sockets import ApiError, listen
+from softarm.daemon.access.sockets import listen
 from softarm.daemon.config.places import latch_path
 from softarm.daemon.runtime import preflight
 from softarm.daemon.stop.latch import LatchKeeper
@@ -70,11 +70,6 @@ def test_checking_a_port_leaves_it_free(look, tmp_path):
     for thread in threads:
         thread.join()
     assert failed == []
-
-
-def test_an_address_of_another_computer_is_reported():
-    with pytest.raises(ApiError, match=r"api\.port 1: cannot listen there \(.*\); name an address of this machine"):
-        listen("192.0.2.1", 1, "api.port", 1)
 
 
 def test_an_unusable_log_directory_is_reported_once(look, tmp_path):
