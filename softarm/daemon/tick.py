@@ -166,13 +166,12 @@ class Controller:
             return ("the goal request has no goal",)
         if self._machine.mode is not Mode.ARMED:
             return (f"the arm is {self._machine.mode}: arm it first (`softarm arm`, or Arm on the dashboard)",)
-        if goal.kind == "reach" and not self._policy.policy.spec.needs_target:
-            name = self._policy.policy.spec.name
-            return (f"the policy {name!r} does not move to targets: {CHOOSE_POLICY}",)
-        if goal.kind == "run" and self._policy.policy.spec.needs_target:
-            name = self._policy.policy.spec.name
-            return (f"the policy {name!r} needs a target: request a reach goal, or {CHOOSE_POLICY}",)
-        steps = self._policy.policy.spec.episode_steps
+        spec = self._policy.policy.spec
+        if goal.kind == "reach" and not spec.needs_target:
+            return (f"the policy {spec.name!r} does not move to targets: {CHOOSE_POLICY}",)
+        if goal.kind == "run" and spec.needs_target:
+            return (f"the policy {spec.name!r} needs a target: request a reach goal, or {CHOOSE_POLICY}",)
+        steps = spec.episode_steps
         self._goals.start(goal, None if steps is None else steps / self._config.control.rate_hz)
         self._policy.reset()
         return ()

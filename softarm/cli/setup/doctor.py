@@ -46,15 +46,15 @@ def doctor(
       softarm doctor --simulated                for `softarm run --simulated`
       softarm doctor --json > doctor.json
     """
-    from softarm.daemon.doctor import examination, running, settings
+    from softarm.daemon.doctor import examination, running
 
-    loaded = settings.look(config_file, wires=not simulated)
-    url = url or url_of(loaded.config.api)
+    config, mistakes = examination.configuration(config_file, wires=not simulated)
+    url = url or url_of(config.api)
     try:
         daemon = running.look(url, token_of(token_file))
     except ValueError as error:
         raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
-    target = examination.Target(loaded, url, daemon, simulated, folder)
+    target = examination.Target(config_file, config, mistakes, url, daemon, simulated, folder)
     found = _examine(target, quiet=as_json)
     problems = sum(each.state == "problem" for several in found.values() for each in several)
     if as_json:

@@ -4,21 +4,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from softarm.common.finding import Finding, ok
-from softarm.daemon.doctor import (
-    clocks,
-    disk,
-    from_logs,
-    models,
-    ports,
-    running,
-    scheduling,
-    settings,
-    software,
-    untried,
-)
+from softarm.common.finding import Finding, ok, warning
+from softarm.daemon.doctor import clocks, disk, from_logs, models, ports, running, scheduling, software, untried
 from softarm.daemon.doctor.running import Running
-from softarm.daemon.doctor.settings import Settings
 from softarm.daemon.runtime import preflight
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
@@ -28,16 +16,13 @@ from softarm.schemas.config import Config
 class Target:
     """The computer, configuration and daemon under examination."""
 
-    settings: Settings
+    path: Path | None  # of the configuration; None for the defaults
+    config: Config  # the defaults if the file has mistakes
+    mistakes: tuple[Finding, ...]  # of the configuration
     url: str  # address of a running daemon
     daemon: Running | None  # None if no daemon answers
     simulated: bool = False  # a robot simulated in the daemon's process has no hardware
     logs: Path | None = None  # default: the recorder's folder
-
-    @property
-    def config(self) -> Config:
-        """Return the configuration in force."""
-        return self.settings.config
 
     @property
     def idle(self) -> bool:
@@ -46,6 +31,26 @@ class Target:
 
 
 Part = Callable[[Target], Iterator[Finding]]
+
+
+def configuration(path: Path | None, wires: bool) -> tuple[Config, tuple[Finding, ...]]:
+    """Return the configuration to check with, and the mistakes that would prevent the daemon's start."""
+    loaded, mistakes, _ = preflight.read(path)
+    if loaded is None or mistakes:
+        return Config(), tuple(mistakes)
+    return loaded.config, tuple(preflight.tokens_and_plug_ins(loaded.config, wires))
+
+
+def _configuration(target: Target) -> Iterator[Finding]:
+    """Report the mistakes; a simulated robot needs no file."""
+    yield from target.mistakes
+    if target.path is None and target.simulated:
+        yield ok(preflight.NAME, "the defaults")
+    elif target.path is None:
+        advice = "name yours with --config; `softarm config new` writes one"
+        yield warning(preflight.NAME, "no file was named, so the defaults are checked", advice)
+    elif not target.mistakes:
+        yield ok(preflight.NAME, f"{target.path} is valid")
 
 
 def _wires(target: Target) -> Iterator[Finding]:
@@ -77,7 +82,7 @@ def _from_logs(target: Target) -> Iterator[Finding]:
 
 PARTS: dict[str, Part] = {
     "software": lambda target: software.judge(software.look()),
-    "configuration": lambda target: settings.judge(target.settings, target.simulated),
+    "configuration": _configuration,
     "robot and daemon": _wires,
     "policies": lambda target: models.judge(
         models.look(target.config, target.idle), target.config.failsafe.policy_budget_s

@@ -49,7 +49,7 @@ def look(path: Path | None, wires: bool, thorough: bool = False, port: int | Non
     `wires` is false for a robot simulated in this process. `thorough` also runs the policy's first step and checks the
     policies that are not selected. `port` replaces the file's `api.port`.
     """
-    loaded, found, left_out = _read(path)
+    loaded, found, left_out = read(path)
     if loaded is not None and port is not None:
         try:
             loaded = _with_port(loaded, port)
@@ -63,7 +63,7 @@ def look(path: Path | None, wires: bool, thorough: bool = False, port: int | Non
     return Preflight(loaded, tuple(found))
 
 
-def _read(path: Path | None) -> tuple[Loaded | None, list[Finding], tuple[Place, ...]]:
+def read(path: Path | None) -> tuple[Loaded | None, list[Finding], tuple[Place, ...]]:
     """Return the readable part of a file, its mistakes and the keys concerned."""
     if path is None:
         return Loaded(Path(), Config(), {}), [], ()

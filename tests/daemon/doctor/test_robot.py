@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from softarm.common.finding import State
-from softarm.daemon.doctor import from_logs, models, running, settings
+from softarm.common.finding import Finding, State
+from softarm.daemon.doctor import examination, from_logs, models, running
+from softarm.daemon.doctor.examination import PARTS, Target
 from softarm.daemon.doctor.models import Golden, Models
 from softarm.daemon.doctor.running import Running
 from softarm.daemon.limits.findings import MeasuredLimit
@@ -166,16 +167,26 @@ def test_a_log_is_read_for_the_limits(tmp_path):
     assert from_logs.look(tmp_path, listing(tmp_path), Config()) == ()
 
 
-def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path):
-    (tmp_path / "wrong.yaml").write_text("limits: {rail: {margin: 1}}\n")
-    facts = settings.look(tmp_path / "wrong.yaml")
-    findings = list(settings.judge(facts))
-    assert [each.state for each in findings] == [State.PROBLEM]
-    assert "did you mean margin_m" in findings[0].figure
-    (tmp_path / "open.yaml").write_text("api: {host: 0.0.0.0}\n")
-    assert "token" in next(settings.judge(settings.look(tmp_path / "open.yaml"))).figure
-    (tmp_path / "plugged.yaml").write_text("drivers: {mocap: {driver: vicorn}}\n")
-    assert "vicorn" in next(settings.judge(settings.look(tmp_path / "plugged.yaml"))).figure
+def of_configuration(path: Path | None) -> list[Finding]:
+    target = Target(path, *examination.configuration(path, wires=True), "http://robot", None)
+    return list(PARTS["configuration"](target))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("limits: {rail: {margin: 1}}", "did you mean margin_m"),
+        ("api: {host: 0.0.0.0}", "token"),
+        ("drivers: {mocap: {driver: vicorn}}", "vicorn"),
+    ],
+)
+def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path, text, says):
+    (tmp_path / "arm.yaml").write_text(text)
+    (finding,) = of_configuration(tmp_path / "arm.yaml")
+    assert (finding.state, says in finding.figure) == (State.PROBLEM, True)
+
+
+def test_a_sound_configuration_has_no_problem_and_a_missing_one_a_warning(tmp_path):
     (tmp_path / "sound.yaml").write_text("")
-    assert [each.state for each in settings.judge(settings.look(tmp_path / "sound.yaml"))] == [State.OK]
-    assert [each.state for each in settings.judge(settings.look(None))] == [State.WARNING]
+    assert [each.state for each in of_configuration(tmp_path / "sound.yaml")] == [State.OK]
+    assert [each.state for each in of_configuration(None)] == [State.WARNING]
