@@ -48,7 +48,7 @@ class ApiServer:
         """
         listener = listen(self._config.host, self._config.port, "api.port", bounds.CONNECTIONS_MAX)
         port = int(listener.getsockname()[1])
-        self._thread = threading.Thread(target=self._serve, args=(listener,), name="api", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(listener)), name="api", daemon=True)
         self._thread.start()
         deadline = time.monotonic() + START_S
         while not self._server.started:
@@ -66,10 +66,7 @@ class ApiServer:
         self._server.force_exit = True  # for clients that do not close
         self._thread.join(timeout=0.5)
 
-    def _serve(self, listener: socket.socket) -> None:
-        asyncio.run(self._serve_until_stopped(listener))
-
-    async def _serve_until_stopped(self, listener: socket.socket) -> None:
+    async def _serve(self, listener: socket.socket) -> None:
         await self._server.serve(sockets=[listener])
         for connection in tuple(self._server.server_state.connections):
             connection.transport.abort()  # a client that does not read would never be closed

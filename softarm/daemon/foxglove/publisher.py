@@ -74,10 +74,16 @@ class FoxglovePublisher:
     def start(self) -> None:
         """Start the server, or raise FoxgloveError and leave nothing running."""
         command = (sys.executable, "-m", "softarm.recordings.foxglove.server", self._host, str(self.port))
-        self._server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        assert self._server.stdin is not None
-        live = _Pipe(cast(BinaryIO, _Counted(self._server.stdin)))
-        line = self._first_line(live)
+        self._server = server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert server.stdin is not None
+        assert server.stdout is not None
+        live = _Pipe(cast(BinaryIO, _Counted(server.stdin)))
+        late = threading.Timer(START_S, server.kill)
+        late.start()
+        with contextlib.suppress(OSError):  # a server that has ended has printed why
+            live.head(self._config, None, time.monotonic_ns(), time.time_ns())
+        line = server.stdout.readline().decode().strip()
+        late.cancel()
         if not line.isdecimal():
             self.stop()
             raise FoxgloveError(f"Foxglove {line or 'did not start; see above'}")
@@ -106,19 +112,6 @@ class FoxglovePublisher:
             self._server.kill()
             self._server.wait()
         self._server.stdout.close()
-
-    def _first_line(self, live: _Pipe) -> str:
-        """Send the log's head and return the server's first line, or an empty text after the time limit."""
-        assert self._server is not None
-        assert self._server.stdout is not None
-        late = threading.Timer(START_S, self._server.kill)
-        late.start()
-        try:
-            with contextlib.suppress(OSError):  # a server that has ended has printed why
-                live.head(self._config, None, time.monotonic_ns(), time.time_ns())
-            return self._server.stdout.readline().decode().strip()
-        finally:
-            late.cancel()
 
     def _send(self, live: _Pipe) -> None:
         """Write queued ticks in a separate thread, which a full pipe may block."""

@@ -80,9 +80,8 @@ class Files:
 
     async def log(self, name: str) -> Response:
         """Download a log. Of the log being recorded, download what is written so far."""
-        file, size = await self._open(_path(self._logs, name, "log"))
         saved = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
-        return self._download(file, size, "application/octet-stream", saved)
+        return await self._download(_path(self._logs, name, "log"), "application/octet-stream", saved)
 
     async def delete_log(self, request: Request, name: str) -> Response:
         """Delete a log. The log being recorded cannot be deleted."""
@@ -126,15 +125,13 @@ class Files:
 
     async def report(self, name: str) -> Response:
         """Return a report as a sandboxed page, which can load nothing else."""
-        file, size = await self._open(_path(self._reports, name, "report"))
-        return self._download(file, size, "text/html; charset=utf-8", {"Content-Security-Policy": SANDBOX})
+        sandbox = {"Content-Security-Policy": SANDBOX}
+        return await self._download(_path(self._reports, name, "report"), "text/html; charset=utf-8", sandbox)
 
-    async def _open(self, path: Path) -> tuple[BinaryIO, int]:
+    async def _download(self, path: Path, kind: str, headers: dict[str, str]) -> Response:
         if self._downloads >= DOWNLOADS_MAX:
             raise Refused(503, f"{DOWNLOADS_MAX} downloads are running already: retry when one has finished")
-        return await self._working.run("opening a file", partial(_opened, path))
-
-    def _download(self, file: BinaryIO, size: int, kind: str, headers: dict[str, str]) -> Response:
+        file, size = await self._working.run("opening a file", partial(_opened, path))
         headers |= {"Content-Length": str(size), "X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
         self._downloads += 1
         return _Sent(file, size, kind, headers, self._sent)
