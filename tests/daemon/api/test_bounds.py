@@ -35,14 +35,11 @@ def test_a_body_that_is_too_long_is_not_parsed(client, loop, body):
     assert not loop.taken
 
 
-def test_the_first_of_many_mistakes_are_reported(client):
+def test_the_first_of_many_mistakes_are_reported_without_long_names(client):
     reasons = client.post("/api/goal", content=keys(100), headers=JSON).json()["reasons"]
     assert len(reasons) == 6
     assert reasons[0].startswith("key0: unknown key")
     assert reasons[-1] == "and 95 more errors"
-
-
-def test_a_long_name_is_not_repeated(client):
     reason = client.post("/api/goal", json={"kind": "hold", "x" * 3000: 1}).json()["reasons"][0]
     assert reason.startswith("x" * 40 + "...: unknown key")
 

@@ -13,6 +13,7 @@ from urllib.parse import quote
 import httpx
 import pytest
 
+from softarm.daemon.access.holders import holders
 from softarm.daemon.api.endpoints import files
 from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
@@ -127,16 +128,12 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
             assert refused.status_code == 503
             assert "1 downloads are running already" in refused.text
         until(lambda: len(httpx.get(url, timeout=WAIT_S).content) == 64_000_000)
-    assert not is_open("flight.mcap")
+    assert not is_open(folder / "flight.mcap")
 
 
-def is_open(name: str) -> bool:
+def is_open(path: Path) -> bool:
     """Return whether this process has a file open."""
-    for link in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):
-            if name in os.readlink(link):
-                return True
-    return False
+    return Path("/proc", str(os.getpid())) in holders({str(path)})
 
 
 @pytest.mark.slow
@@ -147,8 +144,8 @@ def test_a_client_that_does_not_read_its_download_is_disconnected(loop, app, ser
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         deaf = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
         deaf.sendall(b"GET /api/logs/flight.mcap HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-        until(lambda: is_open("flight.mcap"))
-        until(lambda: not is_open("flight.mcap"))
+        until(lambda: is_open(folder / "flight.mcap"))
+        until(lambda: not is_open(folder / "flight.mcap"))
         taken = 0
         with suppress(ConnectionResetError):
             while part := deaf.recv(1_000_000):

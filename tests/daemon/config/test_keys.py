@@ -6,14 +6,10 @@ from softarm.daemon.config.configuration import read
 from softarm.schemas.config import Config
 
 
-def test_every_key_has_a_meaning():
-    reported = list(keys.rows())
-    assert [row.key for row in reported] == [key.name for key in leaves(Config)]
-    assert [row.key for row in reported if not row.meaning] == []
-
-
-def test_a_row_has_unit_range_and_default():
+def test_every_key_has_unit_range_default_and_meaning():
     rows = {row.key: row for row in keys.rows()}
+    assert list(rows) == [key.name for key in leaves(Config)]
+    assert [row.key for row in rows.values() if not row.meaning] == []
     assert rows["limits.rail.margin_m"][:4] == ("limits.rail.margin_m", "m", "0 to 0.1 m", "0.01")
     assert rows["recorder.keep_days"][1:4] == ("days", "above 0, at most 36500 days or null", "null")
     assert rows["control.policy"][1:4] == ("", "a text", "'reach'")

@@ -46,6 +46,7 @@ def test_a_robot_like_the_model_is_extrapolated_to_a_millimetre(lag_ms, cart_off
     """Late cameras and a shifted frame do not matter: the cart continues from its tracked position."""
     seen, readings = swing(lag_ms * MS, cart_off_m)
     reckoning = DeadReckoning(seen[16], seen[20], readings)
+    assert reckoning.at(seen[20].t_ns) == pytest.approx(seen[20])
     for then in (seen[24], seen[28], seen[32], seen[40]):
         assert off_m(reckoning.at(then.t_ns), then) < 0.003
 
@@ -69,11 +70,8 @@ def test_the_constants_are_the_fitted_ones():
     assert model.pulled_rad_s2(math.pi / 3, 2.0) == pytest.approx(-2.523)
     assert model.bent_m(0.5, 0.0) == pytest.approx(-0.0031725)
     assert model.bent_m(0.5, 10.0) == pytest.approx(-0.0031725 + 0.002494)
-
-
-def test_the_deviation_grows_from_camera_noise_to_seven_millimetres_in_100_ms():
-    assert TipModel().deviation_m(0.0) == 0.0015
-    assert TipModel().deviation_m(0.1) == pytest.approx(0.0075)
+    assert model.deviation_m(0.0) == 0.0015  # the cameras' noise
+    assert model.deviation_m(0.1) == pytest.approx(0.0075)
 
 
 # One step of 25 ms after a tracked one: three samples of the fitted constants' data.
@@ -117,12 +115,6 @@ def test_the_pressure_of_each_steps_middle_acts():
 @pytest.mark.parametrize(("bend_m", "length_m"), [(10.0, REACH_MIN_M), (-10.0, REACH_MAX_M)])
 def test_the_length_stays_within_the_arms_range(bend_m, length_m):
     assert reckoned(IDLE._replace(bend_m=bend_m), 0.4, 0.5)[1] == pytest.approx(length_m)
-
-
-def test_extrapolation_by_zero_returns_the_tracked_pose():
-    seen, readings = swing()
-    found = DeadReckoning(seen[16], seen[20], readings).at(seen[20].t_ns)
-    assert found == pytest.approx(seen[20])
 
 
 def read(*t_ms, value=0.0):

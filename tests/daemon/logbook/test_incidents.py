@@ -206,15 +206,3 @@ def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
 )
 def test_the_oldest_incidents_are_deleted_and_the_newest_never(tmp_path, number_max, mb_max, left):
     assert kept(tmp_path, number_max, mb_max) == left
-
-
-def test_other_files_are_neither_listed_nor_downloaded(tmp_path):
-    inside = tmp_path / incidents.FOLDER
-    inside.mkdir()
-    (inside / "incident-20260101T000000Z.zip").write_bytes(b"no zip")
-    (inside / "secret.txt").write_text("secret")
-    assert incidents.listing(tmp_path) == ()
-    assert incidents.listing(tmp_path / "nowhere") == ()
-    assert incidents.content(tmp_path, "incident-20260101T000000Z.zip") == b"no zip"
-    for name in ("secret.txt", "../incidents/incident-20260101T000000Z.zip", "incident-20260102T000000Z.zip", ""):
-        assert incidents.content(tmp_path, name) is None

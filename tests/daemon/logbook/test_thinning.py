@@ -77,10 +77,17 @@ def test_ticks_around_a_change_are_all_kept(still, change):
     assert kept == list(range(971, 1031))
 
 
-def test_every_tick_of_a_flight_is_kept(still):
-    flown = [tick(n, mode=Mode.ARMED, sent=Command(True, 0.0, 0.0)) for n in range(1001, 2001)]
-    kept = [number for each in flown for number in numbers(still.take(each))]
-    assert kept[-1000:] == list(range(1001, 2001))
+@pytest.mark.parametrize(
+    "state",
+    [
+        {"mode": Mode.ARMED, "sent": Command(True, 0.0, 0.0)},
+        {"events": (ActiveEvent("mocap_settling", "warn", "12 of 1000 frames"),)},
+    ],
+    ids=["flight", "motion capture settles"],
+)
+def test_every_tick_of_a_flight_and_before_arming_is_kept(still, state):
+    kept = [number for n in range(1001, 1201) for number in numbers(still.take(tick(n, **state)))]
+    assert kept[-200:] == list(range(1001, 1201))
 
 
 def test_a_counter_in_a_text_is_not_a_change(still):
@@ -105,12 +112,6 @@ def test_ticks_come_once_in_order_and_the_rest_at_the_end(still):
 def test_an_interval_of_none_keeps_every_tick():
     thinning = Thinning(0.0, 1.0)
     assert [number for n in range(1, 500) for number in numbers(thinning.take(tick(n)))] == list(range(1, 500))
-
-
-def test_every_tick_is_kept_while_motion_capture_settles(still):
-    settling = (ActiveEvent("mocap_settling", "warn", "12 of 1000 frames"),)
-    kept = [number for n in range(1001, 1201) for number in numbers(still.take(tick(n, events=settling)))]
-    assert kept[-200:] == list(range(1001, 1201))
 
 
 def test_a_new_file_begins_with_the_waiting_and_all_first_ticks(still):
