@@ -29,11 +29,7 @@ class Played(NamedTuple):
 
 
 def length_s(config: Config, excitation: str) -> float:
-    """Return the duration of an excitation including its lead-in, s.
-
-    Raises:
-        PolicyError: There is no excitation of this name.
-    """
+    """Return the duration of an excitation including its lead-in, s, or raise PolicyError for an unknown name."""
     return (Excite.describe(excitation).episode_steps or 0) / config.control.rate_hz
 
 

@@ -33,12 +33,7 @@ TAGS = [
 
 
 def create_app(context: ApiContext) -> FastAPI:
-    """Return the ASGI application of the REST API and the dashboard.
-
-    Raises:
-        AuthError: `api.host` is not a loopback address and `api.token_file` gives no valid token, or the token file of
-            another role is invalid.
-    """
+    """Return the ASGI application of the REST API and the dashboard; raise AuthError as `load_tokens` does."""
     access = AccessControl(context.config.api)
     sessions = context.sessions or Sessions(context.config.api.port)
     policies = context.policies or Policies(context.config)

@@ -33,11 +33,7 @@ class Requests:
         runner: PolicyRunner | None = None,
         warnings: tuple[str, ...] = (),
     ) -> Response:
-        """Post a request and return the status after the tick that handled it.
-
-        Raises:
-            Refused: 409 with the control loop's reasons, 503 if the control loop does not answer.
-        """
+        """Post a request and return the status after its tick, or raise Refused: 409 with reasons, 503 unanswered."""
         try:
             number = self._inbox.post(kind, goal=goal, policy=policy, runner=runner, who=request.scope[WHO])
         except InboxFull as error:

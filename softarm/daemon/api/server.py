@@ -41,11 +41,7 @@ class ApiServer:
         self._thread: threading.Thread | None = None
 
     def start(self) -> int:
-        """Bind, serve and return the port, which the system chooses for port 0.
-
-        Raises:
-            ApiError: the address cannot be bound.
-        """
+        """Bind, serve and return the port, which the system chooses for port 0, or raise ApiError."""
         listener = listen(self._config.host, self._config.port, "api.port", bounds.CONNECTIONS_MAX)
         port = int(listener.getsockname()[1])
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(listener)), name="api", daemon=True)

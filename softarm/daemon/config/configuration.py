@@ -38,20 +38,12 @@ class ConfigurationError(FileError):
 
 
 def load(path: Path | str) -> Config:
-    """Read the daemon's configuration.
-
-    Raises:
-        ConfigurationError: The file has mistakes; it names all of them.
-    """
+    """Read the daemon's configuration, or raise ConfigurationError with all mistakes of the file."""
     return read(path).config
 
 
 def read(path: Path | str) -> Loaded:
-    """Read the daemon's configuration with the line of each key.
-
-    Raises:
-        ConfigurationError: The file has mistakes; it names all of them.
-    """
+    """Read the daemon's configuration with the line of each key, or raise ConfigurationError with all mistakes."""
     document: yaml_lines.Document | None = None
     try:
         document = yaml_lines.read(path, "name an existing file, or write one with `softarm config new`")

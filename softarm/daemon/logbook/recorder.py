@@ -99,11 +99,7 @@ class Recorder:
         return self._refused + self._lost
 
     def start(self) -> None:
-        """Open the log and start; if `recorder.enabled` is false, keep only the event history.
-
-        Raises:
-            RecorderError: the directory cannot be written or its disk is full.
-        """
+        """Open the log and start, or raise RecorderError; if recording is disabled, keep only the event history."""
         work: Callable[[], None] = self._watch
         if self._settings.enabled:
             try:

@@ -23,11 +23,7 @@ class Devices:
 
 
 def real_devices(config: Config) -> Devices:
-    """Return the drivers of the real robot, or of a twin that answers in its place.
-
-    Raises:
-        PluginError: The configured motion capture source cannot be used.
-    """
+    """Return the drivers of the real robot or of its twin; raise PluginError as `motion_capture` does."""
     from softarm.drivers.rail.driver import DryveRailAxis
     from softarm.drivers.regulator.driver import TeensyRegulator
 
@@ -39,11 +35,7 @@ def real_devices(config: Config) -> Devices:
 
 
 def motion_capture(config: Mocap) -> MocapSource:
-    """Return the configured motion capture source: the built-in Zenoh source or a plug-in.
-
-    Raises:
-        PluginError: The configured plug-in cannot be used.
-    """
+    """Return the built-in Zenoh source of motion capture or the configured plug-in, or raise PluginError."""
     from softarm.drivers.mocap import plugged
 
     if config.driver != plugged.BUILT_IN:
@@ -54,10 +46,7 @@ def motion_capture(config: Mocap) -> MocapSource:
 
 
 def simulated_devices(model: Model | None = None) -> Devices:
-    """Return the devices of a robot simulated in this process, which moves in real time from now on.
-
-    Needs the extra `sim`.
-    """
+    """Return a robot simulated in this process, which moves in real time from now on. Needs the extra `sim`."""
     from softarm.drivers.bodies.in_process import InProcessRobot
     from softarm.drivers.bodies.simulated import SimulatedBody
 

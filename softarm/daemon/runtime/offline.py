@@ -70,11 +70,7 @@ class Lockstep:
         self._skipped += ticks
 
     def arm(self) -> Outputs:
-        """Wait for the sensors, arm, and wait until the robot is armed.
-
-        Raises:
-            RuntimeError: The robot did not arm; the message has the refusals.
-        """
+        """Wait for the sensors, arm, and wait until the robot is armed; raise RuntimeError with the refusals."""
         for _ in range(self.config.failsafe.arming_frames):
             self.tick()
         outputs = self.tick(self.request("arm"))
@@ -87,11 +83,7 @@ class Lockstep:
         raise RuntimeError("did not arm: " + "; ".join(reasons))
 
     def place(self, cart_position_m: float) -> None:
-        """Place the armed robot with its arm straight and at rest.
-
-        Raises:
-            PlacementError: The body cannot be moved.
-        """
+        """Place the armed robot with its arm straight and at rest; raise PlacementError if its body cannot move."""
         self.robot.body.place(cart_position_m)
         self._begun_ns += SETTLED_NS
         self.robot.regulator.write(True, 0.0)

@@ -50,11 +50,7 @@ def encoded(stop: Stop) -> bytes:
 
 
 def decoded(content: bytes) -> Stop:
-    """Return the stop in a file's content.
-
-    Raises:
-        ValueError: The content is not a record of this version.
-    """
+    """Return the stop in a file's content, or raise ValueError if it is not a record of this version."""
     record = json.loads(content) if len(content) == SIZE else None
     if not isinstance(record, dict) or "version" not in record:
         raise ValueError(f"{len(content)} bytes, not a record of a stop")
@@ -164,11 +160,7 @@ class LatchKeeper:
 
 
 def try_out(path: Path) -> None:
-    """Check that a latch can be kept at a path, and leave nothing behind.
-
-    Raises:
-        LatchError: `LatchKeeper.start` would raise it.
-    """
+    """Check that a latch can be kept at a path, and leave nothing behind; raise LatchError as `start` does."""
     path = path.absolute()
     try:
         if path.exists():

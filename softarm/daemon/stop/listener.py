@@ -88,11 +88,7 @@ class StopListener:
         self._thread: threading.Thread | None = None
 
     def start(self) -> int:
-        """Bind, start the thread and return the port (chosen by the system for port 0).
-
-        Raises:
-            ApiError: The address cannot be bound.
-        """
+        """Bind, start the thread and return the port, which the system chooses for port 0, or raise ApiError."""
         listener = listen(self._config.host, self._config.stops_at, "api.stop_port", CLIENTS_MAX)
         listener.setblocking(False)
         self._selector = selectors.DefaultSelector()
