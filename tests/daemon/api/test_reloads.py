@@ -77,17 +77,6 @@ def test_during_a_flood_of_reloads_a_stop_and_every_reload_are_answered(loop, ap
     assert set(seen) == {200}
 
 
-def test_the_page_of_a_stalled_daemon_loads_and_reports_the_stall(silent, app, client_of, recent):
-    _, loop = silent
-    client = client_of(app(loop, recent=recent))
-    loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() - 10**9)
-    assert {client.get(path).status_code for path in LOADED} == {200}
-    assert client.get("/api/status").json()["stalled"] is True
-    assert len(client.get("/api/recent?seconds=600").json()["tick"]) == 1800
-    stop = client.post("/api/stop")
-    assert (stop.status_code, "use the emergency-stop button" in stop.json()["detail"]) == (503, True)
-
-
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monkeypatch):

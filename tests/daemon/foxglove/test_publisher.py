@@ -66,11 +66,7 @@ def viewing(publisher, **options):
 def config_of(folder):
     """Run a daemon without real-time priority, which the test's processes would inherit."""
     return Config.model_validate(
-        {
-            "api": {"port": 0, "stop_port": 0},
-            "recorder": {"directory": folder},
-            "control": {"realtime_priority": 0},
-        }
+        {"api": {"port": 0, "stop_port": 0}, "recorder": {"directory": folder}, "control": {"realtime_priority": 0}}
     )
 
 

@@ -11,15 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from softarm.daemon.control.records import (
-    EStop,
-    Inputs,
-    Mode,
-    Outputs,
-    Request,
-    RequestResult,
-    TickTiming,
-)
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request, RequestResult, TickTiming
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.logbook.tick_file import TickFile
@@ -71,15 +63,7 @@ def make_tick(number: int, period_ns: int = 33_333_333) -> tuple[Inputs, Outputs
         requests=(Request(number, "goal", Goal("hold")),) if number % 30 == 0 else (),
     )
     outputs = Outputs(
-        now,
-        number,
-        0,
-        0,
-        0,
-        Mode.ARMED,
-        EStop.CLEAR,
-        sent=Command(True, 0.1 + number / 7, 3.3),
-        policy="reach",
+        now, number, 0, 0, 0, Mode.ARMED, EStop.CLEAR, sent=Command(True, 0.1 + number / 7, 3.3), policy="reach"
     )
     return inputs, outputs, TickTiming(10_000, 200_000, 5_000, 9_000_000)
 
@@ -109,9 +93,7 @@ def unfinished(directory: Path, ticks) -> Path:
 
 @pytest.mark.slow
 @settings(
-    deadline=None,
-    max_examples=25,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
 @given(ticks=st.lists(tick, min_size=1, max_size=8))
 def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):

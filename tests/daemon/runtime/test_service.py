@@ -57,12 +57,7 @@ def test_only_good_ticks_feed_the_watchdog_twice_per_period(manager):
 
 @pytest.mark.parametrize(
     "environment",
-    [
-        {},
-        {"WATCHDOG_USEC": "0"},
-        {"WATCHDOG_USEC": "soon"},
-        {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"},
-    ],
+    [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}],
 )
 def test_without_a_watchdog_period_nothing_is_sent(manager, environment):
     receiver, ours = manager
