@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from softarm.common import yaml_lines
-from softarm.common.keys import Key, leaves
+from softarm.common.keys import leaves
 from softarm.common.quantity import shown
 from softarm.common.revision import PACKAGE
 from softarm.schemas.config import Config
@@ -30,12 +30,8 @@ def rows() -> Iterator[KeyRow]:
     for key in leaves(Config):
         line = lines[places[key.path] - 1]
         allowed = key.allowed + (" or null" if key.nullable and "null" not in key.allowed else "")
-        yield KeyRow(key.name, key.unit, allowed, _default(key), line.partition(" # ")[2].strip())
-
-
-def _default(key: Key) -> str:
-    value = key.field.get_default(call_default_factory=True)
-    return "none" if value == {} else shown(value)
+        default = "none" if key.default == shown({}) else key.default
+        yield KeyRow(key.name, key.unit, allowed, default, line.partition(" # ")[2].strip())
 
 
 def for_a_simulated_robot() -> str:

@@ -72,11 +72,7 @@ class ControlLoop:
 
     def _main(self) -> None:
         realtime.outrank_own_threads(self._priority)
-
-        def punctual_loop() -> asyncio.AbstractEventLoop:
-            return asyncio.SelectorEventLoop(PunctualSelector())
-
-        with asyncio.Runner(loop_factory=punctual_loop) as runner:
+        with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(PunctualSelector())) as runner:
             runner.run(self._run())
 
     async def _run(self) -> None:
