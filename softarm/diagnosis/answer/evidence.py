@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from softarm.diagnosis.data.trials import Trial
-from softarm.diagnosis.engine.ceiling import samples
 from softarm.diagnosis.engine.result import Overlay, Regime, Spectrum
 from softarm.diagnosis.engine.view import Array, View
+from softarm.diagnosis.engine.whitened import samples
 
 Gap = NDArray[np.floating]  # measured minus simulated, [M, S]
 SEGMENT = 128  # samples of a spectrum's segments

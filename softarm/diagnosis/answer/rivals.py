@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from softarm.diagnosis.engine import resample
+from softarm.diagnosis.answer.assembly import share
+from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
@@ -54,7 +55,7 @@ def by_share(found: Examination, decision: Decision) -> tuple[Rival, ...]:
     causes = {effect.candidate.name: effect for effect in (*decision.selected, *decision.unresolved)}
     rivals = []
     for name, fit in alone.items():
-        share = min(max(_removed(null_model, fit).value, 0.0), 1.0)
+        lone = min(max(_removed(null_model, fit).value, 0.0), 1.0)
         more, less, note = further.get(name, fit), chosen if name in further else null_model, ""
         if name in causes:
             more, less = chosen, causes[name].without
@@ -63,7 +64,7 @@ def by_share(found: Examination, decision: Decision) -> tuple[Rival, ...]:
             note = f"not separable from {same[0]}"
         elif more.at_bound:
             note = AT_BOUND
-        rivals.append(Rival(name, share, _removed(less, more), _own(more.point, name), note))
+        rivals.append(Rival(name, lone, _removed(less, more), _own(more.point, name), note))
     return tuple(sorted(rivals, key=lambda r: (-r.alone, r.name)))
 
 
@@ -82,8 +83,4 @@ def _own(point: Mapping[str, float], name: str) -> dict[str, float]:
 
 def _removed(less: Fit, more: Fit) -> Interval:
     """Return the share of the RMS that `more` removes from `less`, with a bootstrap over blocks."""
-    before, after = np.maximum(less.held_out, 0.0), np.maximum(more.held_out, 0.0)
-    drawn = resample.draws(len(before))
-    low, high = resample.interval(1 - np.sqrt((drawn @ after) / np.maximum(drawn @ before, 1e-12)))
-    value = 1 - float(np.sqrt(after.sum() / max(before.sum(), 1e-12)))
-    return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
+    return share(*shrink.drawn(np.maximum(less.held_out, 0.0), np.maximum(more.held_out, 0.0)))

@@ -39,9 +39,8 @@ class _Linear:
 
     def __init__(self, problem: FitProblem, fit: Fit) -> None:
         self.normal, self.slope, self.low, self.high = problem.linear(fit)
-        self.fold, x = problem.fold, np.array([v for us in fit.u for v in us])
-        self.effects = np.arange(len(x))
-        self.moved = fit.folds - x if len(x) else np.zeros((len(np.unique(self.fold)), 0))  # [F, p]
+        self.fold, self.effects = problem.fold, np.arange(len(fit.x))
+        self.moved = fit.folds - fit.x if fit.effects else np.zeros((len(np.unique(self.fold)), 0))  # [F, p]
 
     def solve(self, free: Indices, kept: NDArray[np.bool_], moved: Array) -> Array:
         """Return the nuisances [q] that fit the kept blocks best next to moved effects, 0 where they are not free."""

@@ -78,6 +78,16 @@ EffectSet = tuple[Candidate, ...]
 Coordinates = tuple[tuple[float, ...], ...]  # u of each parameter, one tuple per candidate
 
 
+def parameters_of(effects: EffectSet) -> list[FittedParameter]:
+    """Return the p parameters of a set in order."""
+    return [d for each in effects for d in each.parameters]
+
+
+def joined(u: Coordinates) -> NDArray[np.float64]:
+    """Return coordinates as one array, [p]."""
+    return np.array([x for us in u for x in us])
+
+
 def point_of(effects: EffectSet, u: Coordinates) -> dict[str, float]:
     """Return the parameters of a set at coordinates u, in the registry's units."""
     return {path: x for each, us in zip(effects, u, strict=True) for path, x in each.point(us).items()}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.view import Array, View
-from softarm.diagnosis.engine.whitened import slices
+from softarm.diagnosis.engine.whitened import samples, slices
 
 LAGS_S = (0.05, 0.133, 0.333, 0.75)  # delays of every feature
 THIN_S = 0.05  # spacing of the samples used
@@ -119,11 +119,6 @@ def _held_out(columns: Array, targets: Array, folds: NDArray[np.int64]) -> float
             error = target[out] - model.predict(columns[out])
             left += float(error @ error)
     return max(0.0, 1 - left / total) if total > 0 else 0.0
-
-
-def samples(view: View, seconds: float) -> int:
-    """Return the number of a view's samples in a time, at least one."""
-    return max(1, round(seconds / float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))))
 
 
 def _signals(view: View, residual: NDArray[np.floating]) -> dict[str, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from softarm.diagnosis.engine.candidates import Candidate, Coordinates, point_of
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, parameters_of, point_of
 from softarm.diagnosis.engine.ceiling import beyond_chance, explainable
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
@@ -19,8 +19,8 @@ from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
-from softarm.diagnosis.engine.view import Array, View
-from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.engine.work import Progress
 
 REACHED = 0.01  # change of a sample, in noise floors, from which it shows an effect
@@ -94,7 +94,7 @@ class Examination:
         found: dict[str, tuple[float, Mapping[str, float]]] = {}
         for view in self.setup.views:
             if self.choice.energies[1][view.stage] > FLEXIBLE_MIN:
-                own = self._by_sample(view, self.setup.fold)
+                own = self.setup.by_sample(view, self.setup.fold)
                 share, uses = explainable(view, self.residuals[view.stage], own, self.setup.block_s / BLOCK_S)
                 found[view.stage] = max(share, self._by_law(view.stage)), uses
         return found
@@ -103,20 +103,11 @@ class Examination:
     def proven(self) -> dict[str, float]:
         """Return the share of each stage's residual that a hum or, beyond chance, a flexible model explains."""
         folds, pace = interleaved(self.setup.blocks), self.setup.block_s / BLOCK_S
-        views = {view.stage: view for view in self.setup.views}
         return {
-            stage: hum(view, self.residuals[stage])
-            or beyond_chance(view, self.residuals[stage], self._by_sample(view, folds), pace)
-            for stage, view in views.items()
+            view.stage: hum(view, self.residuals[view.stage])
+            or beyond_chance(view, self.residuals[view.stage], self.setup.by_sample(view, folds), pace)
+            for view in self.setup.views
         }
-
-    def _by_sample(self, view: View, folds: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the fold of each sample, [M], from those of the blocks, [B]."""
-        fold = dict(zip(self.setup.blocks, folds, strict=True))
-        own = np.empty(len(view.trial), dtype=np.int64)
-        for name, a, b in blocks_of(view, self.setup.block_s):
-            own[a:b] = fold[name]
-        return own
 
     def _by_law(self, stage: str) -> float:
         """Return the largest share of a stage's residual that another fitted set removes."""
@@ -177,7 +168,7 @@ class Examination:
         found, first = [], 0
         low, high = self.interval(fit)
         _, best, spread = self.search.problem.region(fit, self.thresholds.approximate)
-        nominal = np.array([d.nominal for each in fit.effects for d in each.parameters])
+        nominal = np.array([d.nominal for d in parameters_of(fit.effects)])
         for i, effect in enumerate(fit.effects):
             own = [j for j, d in enumerate(effect.parameters, first) if not d.shape]
             first += len(effect.parameters)

@@ -11,8 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box
-from softarm.diagnosis.engine.candidates import Coordinates, EffectSet, FittedParameter, point_of, split
-from softarm.diagnosis.engine.held_out import Block, BlockSums, simulated_losses
+from softarm.diagnosis.engine.candidates import (
+    Coordinates,
+    EffectSet,
+    FittedParameter,
+    joined,
+    parameters_of,
+    point_of,
+    split,
+)
+from softarm.diagnosis.engine.held_out import Block, BlockSums, fit_nuisances, simulated_losses
 from softarm.diagnosis.engine.jackknife import RIDGE, covariance
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
@@ -48,9 +56,9 @@ class Fit:
         return tuple(each.name for each in self.effects)
 
     @property
-    def sizes(self) -> tuple[float, ...]:
-        """Return the usual changes of the parameters, [p]."""
-        return tuple(d.size for each in self.effects for d in each.parameters)
+    def x(self) -> Array:
+        """Return the coordinates of all parameters, [p]."""
+        return joined(self.u)
 
     @property
     def point(self) -> Point:
@@ -135,7 +143,7 @@ class FitProblem:
 
         Each round simulates the losses of all sets, then the Jacobians of the sets that improved.
         """
-        searches = [_Descent(effects, np.array([x for us in u for x in us])) for effects, u in sets]
+        searches = [_Descent(effects, joined(u)) for effects, u in sets]
         for _ in range(rounds):
             moving = [each for each in searches if each.moving]
             if not moving:
@@ -150,21 +158,20 @@ class FitProblem:
 
     def losses(self, sets: Sequence[tuple[EffectSet, Coordinates]]) -> list[float]:
         """Return the losses of sets at given coordinates with fitted nuisances."""
-        return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
+        return self._losses([effects for effects, _ in sets], [joined(u) for _, u in sets])
 
     def sensitivities(self, fit: Fit) -> tuple[Array, Array]:
         """Return normal matrix [p + q, p + q] and slope [p + q] of a fit's parameters and the nuisances."""
-        x = np.array([v for us in fit.u for v in us])
-        ((jacobians, bases),) = self._linear([fit.effects], [x])
-        return self._held_normal(fit.effects, x, jacobians, bases)
+        ((jacobians, bases),) = self._linear([fit.effects], [fit.x])
+        return self._held_normal(fit.effects, fit.x, jacobians, bases)
 
-    def block_squares(self) -> Array:
-        """Return the squares of the nominal model's whitened residual in each block, [B]."""
-        return np.asarray(BlockSums(self.whitened, self.blocks).residuals([{}])[0][0])
+    def block_squares(self, point: Point | None = None) -> Array:
+        """Return the squares of the whitened residual in each block, [B], by default of the nominal model."""
+        return np.asarray(BlockSums(self.whitened, self.blocks).residuals([point or {}])[0][0])
 
     def nuisance_box(self, effects: EffectSet) -> tuple[Array, Array]:
         """Return low and high [q] of the nuisances; a parameter that the set fits itself is fixed."""
-        own = {d.path for each in effects for d in each.parameters}
+        own = {d.path for d in parameters_of(effects)}
         free = np.array([path not in own for path in self.nuisance_paths])
         return self.nuisance_low * free, self.nuisance_high * free
 
@@ -175,21 +182,19 @@ class FitProblem:
     def _losses(self, effects: Sequence[EffectSet], state: Sequence[Array]) -> list[float]:
         points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
         moments = self._moments(points)
-        gg = sum(residual.gg for residual in self.whitened)
+        gg = np.sum([residual.gg for residual in self.whitened], axis=0)
         result = []
         for i, each in enumerate(effects):
-            rr, gr = sum(m[i].rr for m in moments), sum(m[i].gr for m in moments)
-            w = box.solve(gg, -gr, *self.nuisance_box(each))
-            loss = rr + 2 * w @ gr + w @ gg @ w
-            result.append(float(loss) if np.isfinite(loss) else np.inf)
+            rr, gr = sum(m[i].rr for m in moments), np.sum([m[i].gr for m in moments], axis=0)
+            loss, _ = fit_nuisances(rr, gr, gg, self.nuisance_box(each))
+            result.append(loss if np.isfinite(loss) else np.inf)
         return result
 
     def _linear(self, effects: Sequence[EffectSet], state: Sequence[Array]) -> list[tuple[list[Rows], list[Moments]]]:
         """Return the Jacobian ([p, N] or empty) and the moments of every set, by view."""
         points, nudges = [], []
         for each, x in zip(effects, state, strict=True):
-            parameters = [d for c in each for d in c.parameters]
-            nudge = np.array([nudged(d, v, self.nudge) for d, v in zip(parameters, x, strict=True)])
+            nudge = np.array([nudged(d, v, self.nudge) for d, v in zip(parameters_of(each), x, strict=True)])
             nudges.append(nudge)
             points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
         flat = [p for ps in points for p in ps]
@@ -242,7 +247,7 @@ class FitProblem:
         return normal, slope
 
     def _box(self, effects: EffectSet, x: Array) -> tuple[Array, Array]:
-        parameters = [d for c in effects for d in c.parameters]
+        parameters = parameters_of(effects)
         reach = [min(REACH * d.size, d.reach) for d in parameters]
         low = np.array([max(d.low - v, -most) for d, v, most in zip(parameters, x, reach, strict=True)])
         high = np.array([min(d.high - v, most) for d, v, most in zip(parameters, x, reach, strict=True)])
@@ -289,13 +294,12 @@ class FitProblem:
         effects, u = tuple(fit.effects[i] for i in kept), tuple(fit.u[i] for i in kept)
         owner = np.repeat(np.arange(len(fit.effects)), [len(each.parameters) for each in fit.effects])
         mine = np.isin(owner, kept)
-        x, limits = np.array([v for us in u for v in us]), self.nuisance_box(effects)
+        limits = self.nuisance_box(effects)
         moments = [each for (each,) in self._moments([point_of(effects, u)])]
-        gg, gr = sum(residual.gg for residual in self.whitened), sum(m.gr for m in moments)
-        w = box.solve(gg, -gr, *limits)
-        loss = float(sum(m.rr for m in moments) + 2 * w @ gr + w @ gg @ w)
+        gg, gr = (np.sum(each, axis=0) for each in ([r.gg for r in self.whitened], [m.gr for m in moments]))
+        loss, w = fit_nuisances(sum(m.rr for m in moments), gr, gg, limits)
         folds, sums = fit.folds[:, mine], BlockSums(self.whitened, self.blocks)
-        lost = simulated_losses(sums, self.fold, limits, effects, x, folds)
+        lost = simulated_losses(sums, self.fold, limits, effects, joined(u), folds)
         return Fit(effects, u, w, loss, lost, folds, fit.halves[:, mine])
 
     def linear(self, fit: Fit) -> tuple[Array, Array, Array, Array]:
@@ -303,15 +307,14 @@ class FitProblem:
 
         The n unknowns are the steps of the effects' p parameters, then the nuisances in units of their edges.
         """
-        x = np.array([v for us in fit.u for v in us])
-        ((jacobians, bases),) = self._linear([fit.effects], [x])
-        normal, slope, _ = self._by_block(len(x), jacobians, bases)
-        return normal, slope, *self._box(fit.effects, x)
+        ((jacobians, bases),) = self._linear([fit.effects], [fit.x])
+        normal, slope, _ = self._by_block(len(fit.x), jacobians, bases)
+        return normal, slope, *self._box(fit.effects, fit.x)
 
     def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
         """Return the 95 % interval of a fit's parameters, low and high, [p] each; arguments as for `region`."""
         x, best, spread = self.region(fit, inexact)
-        half, least = np.sqrt(spread.diagonal()), LEAST_WIDTH * np.array(fit.sizes)
+        half, least = np.sqrt(spread.diagonal()), LEAST_WIDTH * np.array([d.size for d in parameters_of(fit.effects)])
         return np.minimum(best - half, x - least), np.maximum(best + half, x + least)
 
     def region(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array, Array]:
@@ -323,8 +326,7 @@ class FitProblem:
             fit: fit whose parameters are meant.
             inexact: widen the region by the law error that the residual may hide.
         """
-        x = np.array([v for us in fit.u for v in us])
-        p = len(x)
+        x, p = fit.x, len(fit.x)
         if not p:
             return x, x, np.zeros((0, 0))
         ((jacobians, bases),) = self._linear([fit.effects], [x])
@@ -402,7 +404,7 @@ def nudged(parameter: FittedParameter, u: float, share: float) -> float:
 
 def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:
     """Return diagonal [p] and slope [p] of the prior on changes."""
-    parameters = [d for each in effects for d in each.parameters]
+    parameters = parameters_of(effects)
     held = np.array([PRIOR / d.size**2 for d in parameters])
     return held, held * (x - np.array([d.nominal for d in parameters]))
 

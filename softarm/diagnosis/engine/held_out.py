@@ -67,15 +67,15 @@ def simulated_losses(
     for k, each in enumerate(folds):
         out = fold == each
         mine = [0, *range(1 + k * len(strides), 1 + (k + 1) * len(strides))]
-        fits = [_fit_nuisances(rr[i, ~out], gr[i, ~out], gg[~out], limits) for i in mine]
+        others = gg[~out].sum(axis=0)
+        fits = [fit_nuisances(rr[i, ~out].sum(), gr[i, ~out].sum(axis=0), others, limits) for i in mine]
         best = min(range(len(mine)), key=lambda i: fits[i][0])
         w, at = fits[best][1], mine[best]
         lost[out] = rr[at, out] + 2 * gr[at, out] @ w + np.einsum("i,bij,j->b", w, gg[out], w)
     return lost
 
 
-def _fit_nuisances(rr: Array, gr: Array, gg: Array, limits: tuple[Array, Array]) -> tuple[float, Array]:
-    """Return the loss of some blocks and the nuisances fitted to them."""
-    normal, slope = gg.sum(axis=0), gr.sum(axis=0)
-    w = box.solve(np.ascontiguousarray(normal), -slope, *limits)
-    return float(rr.sum() + 2 * w @ slope + w @ normal @ w), w
+def fit_nuisances(rr: float, gr: Array, gg: Array, limits: tuple[Array, Array]) -> tuple[float, Array]:
+    """Return the loss and the nuisances [q] that fit best, from sums of squares and products."""
+    w = box.solve(gg, -gr, *limits)
+    return float(rr + 2 * w @ gr + w @ gg @ w), w

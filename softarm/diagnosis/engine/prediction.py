@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softarm.diagnosis.engine import box
-from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, split
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, joined, parameters_of, split
 
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.fits import Fit, FitProblem
@@ -36,13 +36,13 @@ class Prediction:
         self._problem, self.effects = problem, (*fit.effects, *options)
         u = (*fit.u, *(tuple(d.nominal for d in each.parameters) for each in options))
         self._normal, self._slope = problem.sensitivities(replace(fit, effects=self.effects, u=u))
-        self._x = np.array([x for us in u for x in us])
+        self._x = joined(u)
         self._owner = np.repeat(np.arange(len(self.effects)), [len(each.parameters) for each in self.effects])
 
     def of(self, members: Collection[int]) -> PredictedSet:
         """Return the best fit of some of `effects`, by index, next to the nuisances; the others become nominal."""
         effects = tuple(self.effects[i] for i in sorted(members))
-        parameters = [d for each in self.effects for d in each.parameters]
+        parameters = parameters_of(self.effects)
         inside = np.isin(self._owner, list(members))
         kept = np.flatnonzero(inside)
         free, gone = np.append(kept, np.arange(len(self._x), len(self._slope))), np.flatnonzero(~inside)

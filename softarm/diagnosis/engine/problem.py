@@ -66,6 +66,14 @@ class Setup:
             return interleaved(self.blocks)
         return self.fold if by == "held_out" else folds(self.blocks, ("any",) * len(self.origins), self.origins)
 
+    def by_sample(self, view: View, folds: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the fold of each sample of a view, [M], from those of the blocks, [B]."""
+        fold = dict(zip(self.blocks, folds, strict=True))
+        own = np.empty(len(view.trial), dtype=np.int64)
+        for name, a, b in blocks_of(view, self.block_s):
+            own[a:b] = fold[name]
+        return own
+
     def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> FitProblem:
         """Return the problem whitened by these residuals (by view, [M, S]), or scaled by the nominal gap."""
         filters = []

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from softarm.diagnosis.engine import equal_sets, resample, work
-from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, parameters_of
 from softarm.diagnosis.engine.fits import COARSE, Fit, FitProblem
 from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import BLOCK_LOSS
@@ -159,7 +159,7 @@ class Search:
         """Fit all effects at once from several starts and return the best fit."""
         rounds = self.thresholds.search.rounds
         every = tuple(candidates)
-        count, parameters = len(every), _parameters(every)
+        count, parameters = len(every), len(parameters_of(every))
         whole = work.full(parameters)
         self._work.begin("fitting all effects at once", whole, work.backward(count, parameters) - whole)
         started = [(every, tuple(_moved(c, size) for c in every)) for size in SIZES]
@@ -314,7 +314,7 @@ class Search:
         return fit
 
     def _begin_removal(self, fit: Fit) -> None:
-        count, parameters = len(fit.effects), _parameters(fit.effects)
+        count, parameters = len(fit.effects), len(fit.x)
         own, before = work.reduced(count, parameters), work.full(parameters)
         self._work.begin(f"removing effects from {count}", own, work.backward(count, parameters) - before - own)
 
@@ -413,10 +413,6 @@ def tempered(fit: Fit) -> Array:
 def _is_within(fit: Fit) -> bool:
     """Return whether a set's last effect is within its tolerance."""
     return not fit.effects[-1].exceeds_tolerance(fit.u[-1])
-
-
-def _parameters(effects: EffectSet) -> int:
-    return sum(len(each.parameters) for each in effects)
 
 
 def _without(fit: Fit, i: int) -> tuple[EffectSet, Coordinates]:

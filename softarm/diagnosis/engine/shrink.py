@@ -21,7 +21,7 @@ def interval(before: Array, after: Array) -> tuple[float, float, float]:
         before: squares of the gap by trial, [K].
         after: the same with the effects, [K].
     """
-    value, low, high = _drawn(before, after)
+    value, low, high = drawn(before, after)
     return value, *widened(value, low, high)
 
 
@@ -32,7 +32,7 @@ def widened(shrink: float, low: float, high: float, wider: float = WIDER) -> tup
 
 def chain_interval(before: Array, after: Array) -> tuple[float, float, float]:
     """Return the shrink of the tip's gap and its interval; arguments as for `interval`."""
-    value, low, high = _drawn(before, after)
+    value, low, high = drawn(before, after)
     low, high = widened(value, low, high, CHAIN_WIDER)
     return value, min(low, with_rest(value, REST_MOST)), max(high, with_rest(value, REST_LEAST))
 
@@ -45,9 +45,9 @@ def with_rest(shrink: float, times: float) -> float:
     return 1 - float(np.sqrt(rest / (rest + 1 - (1 - shrink) ** 2)))
 
 
-def _drawn(before: Array, after: Array) -> tuple[float, float, float]:
-    """Return the shrink and its 95 % bootstrap interval over trials."""
+def drawn(before: Array, after: Array) -> tuple[float, float, float]:
+    """Return the shrink and its 95 % bootstrap interval over the parts of the data."""
     value = 1 - float(np.sqrt(after.sum() / before.sum())) if before.sum() > 0 else 0.0
-    drawn = resample.draws(len(before))
-    low, high = resample.interval(1 - np.sqrt((drawn @ after) / np.maximum(drawn @ before, 1e-30)))
+    draws = resample.draws(len(before))
+    low, high = resample.interval(1 - np.sqrt((draws @ after) / np.maximum(draws @ before, 1e-30)))
     return value, float(low), float(high)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from softarm.diagnosis.engine.candidates import parameters_of
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.structure import Structure
@@ -40,7 +40,7 @@ class Linear:
     def __init__(self, problem: FitProblem, fit: Fit) -> None:
         self.fold, count = problem.fold, len(problem.nuisance_low)
         self.normal, self.slope, low, high = problem.linear(fit)
-        self.squares = BlockSums(problem.whitened, problem.blocks).residuals([fit.point])[0][0]
+        self.squares = problem.block_squares(fit.point)
         self.samples = max(sum(residual.kept for residual in problem.whitened), 1.0)
         self.free = np.append(high > low, True)
         self.held = np.append(np.zeros(len(low) - count), np.ones(count))
@@ -118,7 +118,7 @@ def slow_changes(setup: Setup, search: Search, fit: Fit) -> dict[str, Structure]
 
 def _options(setup: Setup, linear: Linear, fit: Fit) -> Iterator[Slow]:
     """Yield a change of every fitted parameter, and of all joints together, over every clock."""
-    effects = [d.path for each in fit.effects for d in each.parameters]
+    effects = [d.path for d in parameters_of(fit.effects)]
     names = [*effects, *(path for path, *_ in setup.nuisance_scales())]
     directions: dict[tuple[str, bool], Array] = {}
     for i, row in enumerate(np.eye(len(names))):
@@ -157,12 +157,9 @@ def _in_words(setup: Setup, fit: Fit, slow: Slow, moved: Array) -> str:
     """Return which parameter changes from what to what, in the registry's unit; of joints, the relative change."""
     change = float(moved[-1])
     i = int(np.flatnonzero(slow.direction)[0])
-    parameters = [
-        (d, u) for each, us in zip(fit.effects, fit.u, strict=True) for d, u in zip(each.parameters, us, strict=True)
-    ]
+    parameters = parameters_of(fit.effects)
     if i < len(parameters):
-        d, u = parameters[i]
-        ends = [d.value(u + float(moved[i]) + sign * change) for sign in (-1, 1)]
+        ends = [parameters[i].value(float(fit.x[i]) + float(moved[i]) + sign * change) for sign in (-1, 1)]
     else:
         path, nominal, scale = setup.nuisance_scales()[i - len(parameters)]
         if "[" in path:

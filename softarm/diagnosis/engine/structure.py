@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from softarm.diagnosis.engine.view import Array, View
-from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of, slices
+from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of, samples, slices
 
 LEVEL = 0.01  # family-wise error rate of all looks
 LAGS_S = (0.05, 0.1, 0.2, 0.4)  # lags of the autocorrelation, for blocks of BLOCK_S
@@ -25,7 +25,6 @@ class Structure:
 
     energy: float  # energy of the strongest significant finding; 0 without one
     where: str  # place and kind of that finding in words
-    signs: int = 1  # number of significant findings
 
 
 def structure(
@@ -44,7 +43,7 @@ def structure(
     found = [(name, *sign) for name, mask in places.items() for sign in _looks(view, scaled, mask, block_s)]
     sure = [(energy, words, name) for name, words, energy, p in found if p < LEVEL / len(found)]
     energy, words, name = max(sure, default=(0.0, "", ""))
-    return Structure(energy, f"{name}, {words}" if words else "", len(sure))
+    return Structure(energy, f"{name}, {words}" if words else "")
 
 
 def _places(view: View, kinds: Sequence[str]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
@@ -61,12 +60,9 @@ def _places(view: View, kinds: Sequence[str]) -> Iterator[tuple[str, NDArray[np.
     yield from view.regimes.items()
 
 
-def _looks(
-    view: View, scaled: Array, mask: NDArray[np.bool_], block_s: float = BLOCK_S
-) -> Iterator[tuple[str, float, float]]:
+def _looks(view: View, scaled: Array, mask: NDArray[np.bool_], block_s: float) -> Iterator[tuple[str, float, float]]:
     """Yield the words, energy and p-value of each test on a part of the data."""
-    step = float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))
-    lags = sorted({max(1, round(lag * (block_s / BLOCK_S) / step)) for lag in LAGS_S})
+    lags = sorted({samples(view, lag * (block_s / BLOCK_S)) for lag in LAGS_S})
     blocks = [slice(a, b) for _, a, b in blocks_of(view, block_s)]
     for s, channel in enumerate(view.channels):
         r = np.where(mask, scaled[:, s], np.nan)

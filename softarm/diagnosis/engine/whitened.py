@@ -189,6 +189,11 @@ def slices(trial: NDArray[np.int64]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
+def samples(view: View, seconds: float) -> int:
+    """Return the number of a view's samples in a time, at least one."""
+    return max(1, round(seconds / float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))))
+
+
 def blocks_of(view: View, length_s: float) -> list[tuple[tuple[int, int], int, int]]:
     """Return the name (trial, number) and the range of samples of every block, in order."""
     found = []

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.engine.whitened import BLOCK_S, Cache, blocks_of
+from softarm.diagnosis.engine.whitened import Cache
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.robot.candidates import nuisances
 from softarm.diagnosis.robot.chain import tip_gap
@@ -56,11 +56,7 @@ class Comparison:
 
     def held_out(self, gaps: NDArray[np.floating]) -> Gap:
         """Return each sample's gap [M, S] from gaps by fold [F, M, S]: the one whose fit did not use the sample."""
-        folds = np.unique(self.setup.fold, return_inverse=True)[1]
-        fold = dict(zip(self.setup.blocks, folds, strict=True))
-        own = np.zeros(gaps.shape[1], dtype=np.int64)
-        for name, a, b in blocks_of(self.views[0], BLOCK_S):
-            own[a:b] = fold[name]
+        own = self.setup.by_sample(self.views[0], np.unique(self.setup.fold, return_inverse=True)[1])
         return np.asarray(gaps[own, np.arange(len(own))])
 
     def squares(self, gap: NDArray[np.floating], trial: NDArray[np.int64]) -> Array:

@@ -14,7 +14,7 @@ from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.structure import Structure
 from softarm.diagnosis.engine.view import Array, Point, View
-from softarm.diagnosis.engine.whitened import slices
+from softarm.diagnosis.engine.whitened import samples, slices
 from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
 from softarm.diagnosis.robot.trial_grid import TrialGrid
 from softarm.diagnosis.robot.views import JOINT_SHARES
@@ -80,7 +80,7 @@ def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating],
 
 def slow(view: View, residual: NDArray[np.floating]) -> float:
     """Return the RMS of a residual's first channel averaged over DRIFT_S, within trials that measured it."""
-    length = max(1, round(DRIFT_S / float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))))
+    length = samples(view, DRIFT_S)
     found: list[Array] = []
     for part in slices(view.trial):
         values = np.asarray(residual[part, 0], dtype=float)

@@ -45,7 +45,6 @@ def _noise(seed):
 )
 def test_a_missing_law_has_structure(law, where):
     found = _look(law + _noise(3))
-    assert found.signs > 0
     assert found.energy > 0.2
     if where == "steps":
         assert "chirp" in found.where
@@ -61,4 +60,4 @@ def test_its_energy_is_the_law_s():
 def test_missing_samples_show_no_structure():
     residual = _noise(5)
     residual[::3] = np.nan
-    assert _look(residual).signs == 0
+    assert _look(residual).energy == 0

@@ -191,7 +191,7 @@ def test_an_effect_in_one_regime_is_found_there(stage, where, views):
     """On the whole it is within the floor, and it is the same each time."""
     view = views[stage]
     noise = 0.3 * np.random.default_rng(2).normal(size=view.measured.shape)
-    assert structure(view, view.floor * noise).signs == 0
+    assert structure(view, view.floor * noise).energy == 0
     found = structure(view, view.floor * (noise + np.where(view.regimes[where][:, None], 1.5, 0.0)))
     assert found.energy > 1.0
     assert found.where.startswith(where), found.where
