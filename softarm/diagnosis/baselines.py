@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.candidates import split
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis
@@ -39,7 +40,7 @@ def bic(trials: Sequence[Trial], model: Model) -> Diagnosis:
     chosen = search.problem.fit([((), ())])[0]
 
     def criterion(fit: Fit) -> float:
-        return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.parameters) for c in fit.effects))
+        return float(samples * np.log(fit.loss) + np.log(samples) * len(fit.x))
 
     while len(chosen.effects) < EFFECTS_MAX:
         best = min(search.extended(chosen), key=criterion)
@@ -58,14 +59,10 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Diagnosis:
     start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.parameters) for c in effects)
     fit = search.problem.fit([(effects, start)], rounds=6)[0]
     low, high = search.problem.interval(fit)
-    at, ranked = 0, []
-    for effect, us in zip(fit.effects, fit.u, strict=True):
-        half = (high[at : at + len(us)] - low[at : at + len(us)]) / 2
-        clear = max(
-            abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.parameters, half, strict=True)
-        )
-        ranked.append((clear, effect, us))
-        at += len(us)
+    ranked = []
+    for effect, us, half in zip(fit.effects, fit.u, split(fit.effects, (high - low) / 2), strict=True):
+        sizes = zip(us, effect.parameters, half, strict=True)
+        ranked.append((max(abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in sizes), effect, us))
     clear, effect, us = max(ranked, key=lambda each: each[0])
     if clear > CLEARLY:
         return _named(replace(fit, effects=(effect,), u=(us,)), model)
@@ -73,9 +70,9 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Diagnosis:
 
 
 def _search(trials: Sequence[Trial], model: Model) -> Search:
-    shown = on_grid(sorted(trials, key=lambda t: t.name), model)
-    views = robot_views(shown, model)
-    setup = Setup(views, nuisances(model), [trial.kind for trial in sorted(trials, key=lambda t: t.name)])
+    ordered = sorted(trials, key=lambda trial: trial.name)
+    views = robot_views(on_grid(ordered, model), model)
+    setup = Setup(views, nuisances(model), [trial.kind for trial in ordered])
     return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
 
 
@@ -96,4 +93,4 @@ def _named(fit: Fit, model: Model) -> Diagnosis:
     verdict = Verdict(verdict="named" if effects else "none", where=where, effects=tuple(effects), gap=empty)
     named = {each.name: {name: estimate.value for name, estimate in each.parameters.items()} for each in effects}
     patched = model.model_copy(update={"effects": {**model.effects, **named}})
-    return Diagnosis(verdict, model, patched, ())
+    return Diagnosis(verdict, model, patched)

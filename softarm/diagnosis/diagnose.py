@@ -17,7 +17,7 @@ BUDGET_S = 120.0
 def diagnose(
     trials: Sequence[Trial],
     model: Model | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda what, share: None,
     processes: int = 1,
     budget_s: float = BUDGET_S,
 ) -> Diagnosis:
@@ -41,15 +41,14 @@ def diagnose(
     if tables and len(tables) < len(trials):
         raise TrialError(f"{tables[0].source}: tables of a rig and recordings of the robot; diagnose them separately")
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
-    report = progress or (lambda what, share: None)
     with _one_thread():
         if tables:
             # The laws of rigs are compiled on import.
             from softarm.diagnosis.rigs.diagnose import diagnose_table
             from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-            return in_owners_units(diagnose_table(ordered, report, processes, budget_s), ordered)
-        return diagnose_robot(ordered, model or Model(), report)
+            return in_owners_units(diagnose_table(ordered, progress, processes, budget_s), ordered)
+        return diagnose_robot(ordered, model or Model(), progress)
 
 
 @contextmanager

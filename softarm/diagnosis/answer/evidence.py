@@ -34,8 +34,8 @@ def overlays(
         view: stage to show.
         trials: trials of the view.
         before: gap of the nominal model.
-        after: gap with the named effects, or None without any.
-        calibrated: gap with the named effects and the calibration, or None without a calibration.
+        after: the same with the named effects, or None without any.
+        calibrated: the same with the calibration as well, or None without it.
         channels: indices of the channels to show; by default all.
     """
     found = []

@@ -4,7 +4,7 @@ A box says how far a parameter of a good model may be off. A parameter that the 
 that a calibrated model differs from the nominal one only where the data show a difference.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,9 +107,10 @@ def held_out_rms(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dic
     """
     numbers = np.unique(plain.fold, return_inverse=True)[1]
     fold_of = dict(zip(plain.blocks, numbers, strict=True))
+    points = fit.fold_points if fit.effects else [{}] * len(folds)
     found = {}
     for view, residual in zip(setup.views, plain.whitened, strict=True):
-        moments = residual.moments(_points(fit, len(folds)))
+        moments = residual.moments(points)
         squares = 0.0
         for name, part in residual.blocks:
             fold = fold_of[name]
@@ -119,9 +120,3 @@ def held_out_rms(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dic
         samples = int(np.isfinite(view.measured).sum())
         found[view.stage] = float(np.sqrt(squares / max(samples, 1)))
     return found
-
-
-def _points(fit: Fit, folds: int) -> Sequence[dict[str, float]]:
-    """Return the effects' parameters by fold; without effects the nominal model."""
-    points = [dict(point) for point in fit.fold_points]
-    return points if len(points) == folds else [{}] * folds

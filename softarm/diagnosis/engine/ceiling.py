@@ -54,13 +54,8 @@ def beyond_chance(view: View, residual: NDArray[np.floating], folds: NDArray[np.
     """Return the share of a residual's energy that a flexible model finds, or 0 if it finds as much in a surrogate.
 
     Neighbouring blocks may share a slow error, and so do those of a surrogate. Features without the view's own
-    measurement, which holds the residual's past, are completed by the integrals of the simulated signals.
-
-    Args:
-        view: stage of the residual.
-        residual: measured minus simulated, [M, S].
-        folds: fold of each sample, [M], from all parts of the data.
-        pace: the view's time scale over the robot's.
+    measurement, which holds the residual's past, are completed by the integrals of the simulated signals. Arguments as
+    for `explainable`; the folds come from all parts of the data.
     """
     rows = _rows(view, residual, pace)
     if len(np.unique(folds[rows])) < 2:
@@ -163,12 +158,8 @@ def turned(values: Array) -> Array:
 
 
 def _filled(values: Array) -> Array:
-    """Fill gaps by linear interpolation."""
-    seen = np.isfinite(values)
-    if seen.all() or not seen.any():
-        return np.nan_to_num(values)
-    at = np.arange(len(values))
-    return np.interp(at, at[seen], values[seen])
+    seen, at = np.isfinite(values), np.arange(len(values))
+    return np.interp(at, at[seen], values[seen]) if seen.any() else np.zeros(len(values))
 
 
 def _components(scaled: Array) -> Array:

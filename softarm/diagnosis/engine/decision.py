@@ -65,7 +65,7 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     if len(unresolved) == len(causes):  # the gap has a cause, and nothing explains it better than the first
         unresolved = unresolved[1:]
     selected = tuple(effect for effect in causes if effect not in unresolved)
-    taken = _added({stage: max(evidence.tolerated.get(stage, 0.0), 0.0) for stage in rest.left}, selected)
+    taken = _added({stage: evidence.tolerated.get(stage, 0.0) for stage in rest.left}, selected)
     structure = _structure(evidence, rest, taken, thresholds)
     needs = rest.left
     if evidence.proven is not None:
@@ -92,7 +92,7 @@ def remainder(choice: Choice, evidence: Evidence, t: Thresholds) -> Remainder:
     """Return the energies that remain after the fitted effects."""
     before, after = choice.energies
     left = {s: max(e - 1.0, 0.0) * max(evidence.flexible.get(s, 0.0), t.gap.random_share) for s, e in after.items()}
-    removed = {s: max(evidence.tolerated.get(s, 0.0), 0.0) + max(before[s] - e, 0.0) for s, e in after.items()}
+    removed = {s: evidence.tolerated.get(s, 0.0) + max(before[s] - e, 0.0) for s, e in after.items()}
     most = {s: t.cause.rest_most + min(evidence.bent.get(s, 0.0), t.cause.bent_share * removed[s]) for s in after}
     return Remainder(left, removed, most, {s for s, e in left.items() if e > most[s]})
 
@@ -122,7 +122,6 @@ def _explains(stage: str, energy: float, rest: Remainder, t: Thresholds) -> bool
 
 
 def _structure(evidence: Evidence, rest: Remainder, taken: Energies, t: Thresholds) -> dict[str, str]:
-    """Return the structure in the residual, by stage, that needs a cause."""
     found = {}
     for stage, each in evidence.structures.items():
         granted = min(t.gap.structure_share * taken[stage], rest.most[stage] / t.gap.random_share)
@@ -141,7 +140,6 @@ def _needs_cause(needs: Energies, taken: Energies, fallen: Sequence[SelectedEffe
 
 
 def _added(energies: Energies, effects: Sequence[SelectedEffect]) -> dict[str, float]:
-    """Return energies with those of some effects added."""
     found = dict(energies)
     for effect in effects:
         for stage, energy in effect.gain.energies.items():
@@ -152,11 +150,8 @@ def _added(energies: Energies, effects: Sequence[SelectedEffect]) -> dict[str, f
 def stage_shares(decision: Decision, counted: Energies) -> dict[str, float]:
     """Return each stage's share of the gap.
 
-    The energy of a named effect belongs to the effect's stage, unexplained energy to the stage that shows it.
-
-    Args:
-        decision: verdict on the fitted effects.
-        counted: stage -> energy of effects that were measured from stamps and noise.
+    The energy of a named effect belongs to the effect's stage, unexplained energy to the stage that shows it, and
+    `counted` is the energy of effects that were measured from stamps and noise.
     """
     energies: dict[str, float] = dict(counted)
     for effect in decision.selected:

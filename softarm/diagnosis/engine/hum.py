@@ -13,14 +13,10 @@ WIDTH = 4  # frequencies on either side that hold a line, with a Hann window and
 
 
 def hum(view: View, residual: NDArray[np.floating]) -> float:
-    """Return the share of a residual's energy in its strongest line, or 0 if noise may have such a line.
+    """Return the share of a residual's [M, S] energy in its strongest line, or 0 if noise may have such a line.
 
     The power of noise at one frequency exceeds x times the median of its neighbours with a probability of at most
     2^-x, whatever its colour; the sum over trials is closer to its median.
-
-    Args:
-        view: stage of the residual.
-        residual: measured minus simulated, [M, S].
     """
     parts, scaled = slices(view.trial), np.nan_to_num(np.asarray(residual, dtype=float) / view.floor)
     longest = max(parts, key=lambda part: part.stop - part.start)

@@ -5,10 +5,9 @@ MacKinnon, Nielsen and Webb 2023, Cluster-robust inference: a guide to empirical
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-Array = NDArray[np.float64]
+from softarm.diagnosis.engine.view import Array
 
 RIDGE = 1e-10  # of the largest diagonal entry; an invisible parameter gets no error instead of an infinite one
 

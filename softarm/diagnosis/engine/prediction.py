@@ -26,13 +26,7 @@ class Prediction:
     """Linear model of a fit with further effects at their nominal values."""
 
     def __init__(self, problem: "FitProblem", fit: "Fit", options: Sequence[Candidate] = ()) -> None:
-        """Simulate the sensitivities.
-
-        Args:
-            problem: problem of the fit.
-            fit: fit whose coordinates the model is linear around.
-            options: further effects that a set may hold.
-        """
+        """Simulate the sensitivities at a fit; options: further effects that a set may hold."""
         self._problem, self.effects = problem, (*fit.effects, *options)
         u = (*fit.u, *(tuple(d.nominal for d in each.parameters) for each in options))
         self._normal, self._slope = problem.sensitivities(replace(fit, effects=self.effects, u=u))

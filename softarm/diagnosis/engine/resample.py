@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from softarm.diagnosis.engine.view import Array
 
 DRAWS = 2000
 # Quantiles of a 95 % interval.
@@ -17,12 +17,7 @@ def draws(blocks: int) -> Array:
     """Return how often each block is drawn with replacement [DRAWS, blocks]; the draws are always the same.
 
     The read-only array has floats, so a sum over blocks is a matrix product.
-
-    Raises:
-        ValueError: The number of blocks is below 1.
     """
-    if blocks < 1:
-        raise ValueError(f"{blocks} blocks: there is nothing to draw from; give one or more")
     drawn = np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1 / blocks), DRAWS).astype(np.float64)
     drawn.flags.writeable = False
     return drawn

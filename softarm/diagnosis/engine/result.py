@@ -4,14 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from softarm.diagnosis.engine.view import Array
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Interval, Verdict
 from softarm.simulator.effects import Effect
 
-Array = NDArray[np.float64]
 HeldOut = Literal["kind", "trial", "block"]  # unit of held-out data: kind of excitation, trial, or block
 
 
@@ -80,9 +77,9 @@ class Diagnosis:
     """The verdict and its evidence."""
 
     verdict: Verdict
-    nominal: Model | None  # None for a rig
-    patched: Model | None  # the nominal model with the named effects; None without named effects
-    trials: tuple[tuple[str, str, float], ...]  # name, kind, seconds
+    nominal: Model | None = None  # None for a rig
+    patched: Model | None = None  # the nominal model with the named effects; None without named effects
+    trials: tuple[tuple[str, str, float], ...] = ()  # name, kind, seconds
     overlays: tuple[Overlay, ...] = ()
     spectra: tuple[Spectrum, ...] = ()
     regimes: tuple[Regime, ...] = ()

@@ -383,7 +383,8 @@ class Search:
         before, after = self.energies(less), self.energies(more)
         shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
         gone = {s: before[s] - after[s] for s in shares}
-        return Gain(float(difference.sum()), *bootstrap(difference), shares, gone)
+        low, high = resample.interval(resample.draws(len(difference)) @ difference)
+        return Gain(float(difference.sum()), float(low), float(high), shares, gone)
 
     def _counted(self, fit: Fit) -> Array:
         """Return the held-out losses by block, large ones tempered for approximate laws."""
@@ -399,19 +400,12 @@ class Search:
         return result
 
 
-def bootstrap(difference: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a sum over blocks, with fixed draws."""
-    low, high = resample.interval(resample.draws(len(difference)) @ difference)
-    return float(low), float(high)
-
-
 def tempered(fit: Fit) -> Array:
     """Return the held-out losses by block, with a logarithm beyond the usual loss of a block."""
     return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
 
 
 def _is_within(fit: Fit) -> bool:
-    """Return whether a set's last effect is within its tolerance."""
     return not fit.effects[-1].exceeds_tolerance(fit.u[-1])
 
 

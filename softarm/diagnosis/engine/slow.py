@@ -88,19 +88,14 @@ class Linear:
 def slow_changes(setup: Setup, search: Search, fit: Fit) -> dict[str, Structure]:
     """Return the strongest slow change next to a fit, by the stage that shows it; empty if it may be chance.
 
-    Args:
-        setup: views, nuisances and blocks of the diagnosis.
-        search: search that found the fit; its rules for a further effect hold here.
-        fit: effects and nuisances.
+    The rules of the search for a further effect hold here.
     """
     linear = Linear(search.problem, fit)
     before, constant = linear.loss(None)
-    options = [
-        (before - loss, slow, moved) for slow in _options(setup, linear, fit) for loss, moved in [linear.loss(slow)]
-    ]
+    options = [(slow, *linear.loss(slow)) for slow in _options(setup, linear, fit)]
     if not options:
         return {}
-    _, slow, moved = max(options, key=lambda each: each[0])
+    slow, _, moved = max(options, key=lambda each: before - each[1])
     less, more = (replace(fit, held_out=linear.held_out(each)) for each in (None, slow))
     gain, rule = search.gain(less, more), search.thresholds.gain
     energies = {}

@@ -34,7 +34,7 @@ def structure(
 
     Args:
         view: stage of the residual.
-        residual: measured minus simulated, [M, S].
+        residual: measured minus simulated.
         kinds: excitation of each trial of the view.
         block_s: length of a block that counts as independent.
     """
@@ -47,7 +47,6 @@ def structure(
 
 
 def _places(view: View, kinds: Sequence[str]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield the parts of the data by name."""
     everywhere = np.ones(len(view.trial), dtype=bool)
     yield "throughout", everywhere
     late = np.zeros_like(everywhere)

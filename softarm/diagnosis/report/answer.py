@@ -31,7 +31,7 @@ def answer(diagnosis: Diagnosis) -> tuple[str, str, str]:
     kind = diagnosis.verdict.verdict
     if kind == "none":
         return _none(diagnosis)
-    if kind == "unknown" or not diagnosis.verdict.effects:
+    if kind == "unknown":
         return _unknown(diagnosis)
     return _cause(diagnosis), _how_sure(diagnosis), _shrinks(diagnosis)
 
@@ -47,7 +47,7 @@ def headline(diagnosis: Diagnosis) -> str:
     verdict = diagnosis.verdict
     if verdict.verdict == "none":
         return "No cause found" if max(_in_floors(diagnosis).values(), default=0.0) > 1 else "No gap"
-    if verdict.verdict == "unknown" or not verdict.effects:
+    if verdict.verdict == "unknown":
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
     if sum(1 + len(effect.equivalents) for effect in verdict.effects) > LISTED_MAX:

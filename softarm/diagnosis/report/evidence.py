@@ -63,7 +63,6 @@ def _folded(rows: Sequence[Row], is_first: Callable[[Row], bool], draw: Callable
 
 
 def _regimes(regimes: Sequence[Regime]) -> Html:
-    """Return one table row per regime."""
     patched = any(regime.patched_rms is not None for regime in regimes)
     most: dict[str, float] = {}
     for regime in regimes:

@@ -62,7 +62,6 @@ def _recording(plan: NextExperiment) -> str:
 
 
 def _separations(diagnosis: Diagnosis, members: tuple[str, ...]) -> str:
-    """Return how the vocabulary separates each pair of a set."""
     found = {(a, b): text for a, b in combinations(members, 2) if (text := separation(diagnosis, a, b))}
     if not found:
         return "no experiment is known; keep the alternatives, or record other motions"

@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
+from softarm.diagnosis.engine.view import Array
 from softarm.reporting import plot
-
-Array = NDArray[np.float64]
 
 CHOICES = ("stage", "trial", "channel")
 _WINDOW_S = 2.0
@@ -61,7 +59,6 @@ def window(overlay: Overlay) -> tuple[float, float] | None:
 
 
 def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
-    """Return the stage's noise floor in the overlay's unit."""
     return diagnosis.verdict.gap.floor[overlay.stage].value
 
 

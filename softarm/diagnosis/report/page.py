@@ -14,15 +14,12 @@ FurtherSections = Iterable[tuple[str, str]]
 
 
 def write(diagnosis: Diagnosis, path: Path, *, further: FurtherSections = ()) -> None:
-    """Write the report as one HTML file.
+    """Write the report as one HTML file; raise OSError if that fails.
 
     Args:
         diagnosis: diagnosis to report.
         path: file to write.
         further: title and HTML of each section to insert after the next experiment.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     files.write_text(path, render(diagnosis, further=further))
 

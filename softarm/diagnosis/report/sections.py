@@ -47,8 +47,8 @@ def result(diagnosis: Diagnosis) -> Html:
     named = diagnosis.verdict.effects
     causes = [_card(diagnosis, effect) for effect in named] if len(named) <= LISTED_MAX else []
     lead = [equal_sets(diagnosis), calibration_in_words(diagnosis)] if causes else answer(diagnosis)
-    shown = kind.replace("_", " ") + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
-    chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS.get(kind, shown)), class_="chip")
+    shown = kind + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
+    chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS[kind]), class_="chip")
     title = el("h1", prose(headline(diagnosis)))
     cards = el("div", *causes, class_="cards") if causes else Html("")
     paragraphs = el("div", *(el("p", prose(text)) for text in lead if text), class_="lead")
@@ -107,11 +107,9 @@ def _task(diagnosis: Diagnosis) -> Html:
 
 
 def _chain(diagnosis: Diagnosis) -> Html:
-    """Return the causal chain with the stage of the gap marked."""
     where = diagnosis.verdict.where
-    if where.stage is None:
-        lead = "No stage stands out."
-    else:
+    lead = "No stage stands out."
+    if where.stage is not None:
         lead = f"The largest part of the gap arises in {where.stage} ({where.regime})."
     drawn = el("div", causal.chain(diagnosis), class_="drawing", tabindex="0", role="region", aria_label="causal chain")
     note = (
@@ -161,7 +159,6 @@ def _expected(plan: NextExperiment) -> Html:
 
 
 def _commands(of: Excitation, samples: int = 600) -> Html:
-    """Return a drawing of an excitation's commands over time."""
     t = np.linspace(0.0, of.duration_s, samples)
     velocity, pressure = np.array([of.at(float(s)) for s in t]).T
     curves = {"pressure (kPa)": pressure} if of.pressure_kpa else {}

@@ -75,7 +75,6 @@ def _sized(effect: NamedEffect) -> str:
 
 
 def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
-    """Return an effect with its meaning and size."""
     size = sizes(effect)
     if not effect.equivalents:
         return described(diagnosis, effect)
@@ -99,7 +98,6 @@ def _rest(after: Quantity, floor: Quantity) -> str:
 
 
 def _without_effect(diagnosis: Diagnosis, stage: str, before: Quantity, floor: Quantity) -> str:
-    """Return the text of a stage that no named effect changes."""
     size, ratio = f"{quantity(before.value, before.unit)} RMS", before.value / floor.value
     if ratio <= 1:
         return f"no gap: {size}; {noise_level(floor)}."
@@ -136,7 +134,6 @@ def effects(diagnosis: Diagnosis) -> Html:
 
 
 def _definitions(tip: bool) -> Html:
-    """Return the definitions of the table's columns."""
     text = (
         "Unique share: how much of the gap (RMS) disappears when this effect joins all the other named effects. "
         "Shares of effects that overlap do not add up to 100 %."

@@ -11,7 +11,7 @@ import numpy as np
 from softarm.common.processes import as_they_come
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
-from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
+from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of, share
 from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
@@ -34,7 +34,16 @@ from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
-from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
+from softarm.schemas.verdict import (
+    CalibratedParameter,
+    Estimate,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Shrink,
+    Verdict,
+    Where,
+)
 from softarm.simulator.effects import Effect
 
 # Kind of stage -> its view. A new kind is one more line.
@@ -113,11 +122,21 @@ def diagnose_table(
     stages = [found[name] for name in names]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
-    return assemble(_answer(stages, warnings), trials, started)
+    answers = [stage.answer for stage in stages]
+    return replace(
+        assemble(_verdict(stages, answers, warnings), answers, trials, started),
+        rivals=tuple(rival for s in stages for rival in s.rivals),
+        margins={
+            name: x for s in stages if s.decision.kind == "named" for name, x in margins(s.decision.selected).items()
+        },
+        held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
+        units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
+        vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
+    )
 
 
-def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
-    """Return the answer on all stages of a rig."""
+def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings: Sequence[str]) -> Verdict:
+    """Return the verdict on all stages of a rig."""
     gaps = [s for s in stages if s.decision.kind != "none"]
     kinds = {s.decision.kind for s in gaps}
     kind: Kind = "none"
@@ -125,24 +144,18 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
         kind = kinds.pop() if len(kinds) == 1 else "incomplete"
     total = sum(s.energy for s in stages)
     worst = max(gaps, key=lambda s: s.energy, default=None)
-    named = [s for s in stages if s.decision.kind == "named"]
-    return Answer(
-        kind=kind,
+    return Verdict(
+        verdict=kind,
         where=Where(
             stage=worst.answer.stage if worst else None,
             share={s.answer.stage: s.energy / total if total else 0.0 for s in stages},
             regime=worst.regime if worst else "nowhere: the gap is within the noise floor",
         ),
         effects=tuple(effect for s in stages for effect in s.named),
-        stages=tuple(s.answer for s in stages),
-        rivals=tuple(rival for s in stages for rival in s.rivals),
-        margins={name: margin for s in named for name, margin in margins(s.decision.selected).items()},
         calibration=tuple(each for s in stages for each in s.calibration),
-        held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
+        gap=gap_of(answers),
         next_experiment=next((s.following for s in gaps if s.following is not None), None),
-        warnings=tuple(warnings),
-        units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
-        vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
+        warnings=tuple(dict.fromkeys(warnings)),
         equal_sets=tuple(names for s in stages for names in s.decision.equal_sets),
     )
 

@@ -15,13 +15,7 @@ from softarm.simulator.effects import REGISTRY, find, value
 
 
 def calibrated_tip(comparison: Comparison, found: Calibrated, points: Sequence[Point]) -> float:
-    """Return the tip's RMS gap with named effects and calibration, m, held out.
-
-    Args:
-        comparison: trials and nominal model.
-        found: calibration with its values by fold.
-        points: the named effects' parameters by fold.
-    """
+    """Return the tip's RMS gap with named effects and calibration, m, held out; points: the effects by fold."""
     by_fold = [
         tip_gap_with(comparison.grid, comparison.model, values, point)
         for values, point in zip(found.folds, points, strict=True)

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.trial_grid import STEP_S, TrialGrid
-from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, PHYSICS, delayed, directions
+from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, PHYSICS, delayed, directions, value_at
 from softarm.schemas.model import Model
-from softarm.simulator.effects import value
 from softarm.simulator.simulator import Simulator
 
 # Two good simulators of one robot differ by 5.4 to 6.6 mm at the tip, without tolerated deviations (`robot/floors.py`);
@@ -36,26 +35,18 @@ def _flown(grid: TrialGrid, model: Model, points: Sequence[Point]) -> tuple[NDAr
     """Return measured minus simulated tip [P, M, 2] and cart [P, M] at each point."""
     k = len(grid.trials)
     names = sorted({path for point in points for path in point if path in PHYSICS})
-
-    def each(path: str) -> Array:
-        effect, _, parameter = path.rpartition(".")
-        return np.array([p.get(path, value(model, effect, parameter)) for p in points])
-
-    simulator = Simulator(model, len(points) * k, ARM_HZ, overrides={n: np.repeat(each(n), k) for n in names})
+    overrides = {name: np.repeat([value_at(point, name, model) for point in points], k) for name in names}
+    simulator = Simulator(model, len(points) * k, ARM_HZ, overrides=overrides)
     joints = np.tile(np.diff(directions(grid), axis=1, prepend=0.0), (len(points), 1))
     first = np.nan_to_num(grid.pressure_kpa[0])
-    simulator.reset(
-        cart_position_m=np.tile(grid.hinge_m[0], len(points)),
-        joint_angles_rad=joints,
-        pressure_kpa=np.tile(first, len(points)),
-    )
+    start = np.tile(grid.hinge_m[0], len(points))
+    simulator.reset(cart_position_m=start, joint_angles_rad=joints, pressure_kpa=np.tile(first, len(points)))
     velocity, pressure, late = (
         np.tile(x, (1, len(points))) for x in (grid.cart_velocity_m_s, grid.pressure_command_kpa, grid.late_s)
     )
     held = np.tile(grid.held, len(points))
     flown = np.empty((len(grid.t_s), len(points) * k, 2), np.float32)
     carts = np.empty((len(grid.t_s), len(points) * k), np.float32)
-    start = np.tile(grid.hinge_m[0], len(points))
     for t in range(len(grid.t_s)):
         tip = simulator.tip_m()
         tip[:, 0] += np.where(held, start - simulator.cart_position_m, 0.0)
@@ -75,13 +66,9 @@ def _flown(grid: TrialGrid, model: Model, points: Sequence[Point]) -> tuple[NDAr
 
 def _as_seen(tip: NDArray[np.float32], point: Point, model: Model) -> NDArray[np.float32]:
     """Return a true tip [T, K, 2] as mocap measures it: delayed, rotated, scaled and shifted."""
-
-    def of(effect: str, parameter: str) -> float:
-        return point.get(f"mocap.{effect}.{parameter}", value(model, f"mocap.{effect}", parameter))
-
-    turn = of("rotation", "angle")
+    names = ("rotation.angle", "latency.delay", "offset.y", "offset.z", "scale.scale")
+    turn, late, y, z, scale = (value_at(point, f"mocap.{name}", model) for name in names)
     pivot = np.array((0.0, model.arm.base_height_m if point.get(ABOUT_RAIL, 1.0) > 0 else 0.0))
-    away = delayed(tip, of("latency", "delay")) - pivot
+    away = delayed(tip, late) - pivot
     rotation = np.array(((np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))))
-    moved = np.array((of("offset", "y"), of("offset", "z")))
-    return np.asarray((1 + of("scale", "scale")) * (away @ rotation) + pivot + moved, dtype=np.float32)
+    return np.asarray((1 + scale) * (away @ rotation) + pivot + np.array((y, z)), dtype=np.float32)

@@ -21,17 +21,6 @@ from softarm.schemas.model import Model
 Gap = NDArray[np.float32]
 
 
-class TipGaps:
-    """Cache of the tip's gaps, simulated from commands alone."""
-
-    def __init__(self, grid: TrialGrid, model: Model) -> None:
-        self._cache = Cache(lambda keys: tip_gap(grid, model, [dict(key) for key in keys]))
-
-    def fetch(self, points: Sequence[Point]) -> Gap:
-        """Return measured minus simulated tip (y, z) at each point, m, [P, M, 2]."""
-        return np.stack(self._cache.fetch([tuple(sorted(point.items())) for point in points]))
-
-
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Trials of the robot next to a nominal model."""
@@ -42,7 +31,7 @@ class Comparison:
     grid: TrialGrid
     views: tuple[RobotView, ...]
     setup: Setup
-    tips: TipGaps
+    tips: Cache[Gap]
 
     @property
     def kinds(self) -> list[str]:
@@ -59,17 +48,17 @@ class Comparison:
         own = self.setup.by_sample(self.views[0], np.unique(self.setup.fold, return_inverse=True)[1])
         return np.asarray(gaps[own, np.arange(len(own))])
 
+    def tip_gaps(self, points: Sequence[Point]) -> Gap:
+        """Return measured minus simulated tip (y, z), from commands alone, at each point, m, [P, M, 2]."""
+        return np.stack(self.tips.fetch([tuple(sorted(point.items())) for point in points]))
+
     def squares(self, gap: NDArray[np.floating], trial: NDArray[np.int64]) -> Array:
         """Return the squares of a gap [M, S] in each trial, [K]."""
         return np.array([np.nansum(gap[trial == k].astype(float) ** 2) for k in range(len(self.trials))])
 
 
 def compare(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Comparison:
-    """Prepare the comparison of trials with a nominal model.
-
-    Raises:
-        TrialError: no stage can be compared.
-    """
+    """Prepare the comparison of trials with a nominal model; raise TrialError if no stage can be compared."""
     progress("resampling the trials", 0.02)
     grid = on_grid(trials, nominal)
     kinds = [trial.kind for trial in trials]
@@ -79,4 +68,5 @@ def compare(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Comp
         raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
     progress("simulating each stage alone", 0.08)
     setup = Setup(views, nuisances(model), kinds)
-    return Comparison(tuple(trials), nominal, model, grid, views, setup, TipGaps(grid, model))
+    tips = Cache(lambda keys: tip_gap(grid, model, [dict(key) for key in keys]))
+    return Comparison(tuple(trials), nominal, model, grid, views, setup, tips)

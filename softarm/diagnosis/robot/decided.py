@@ -11,7 +11,6 @@ from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.structure import Structure
-from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.robot.calibration import unit_of
 from softarm.diagnosis.robot.chain import stage_of_tip_gap
 from softarm.diagnosis.robot.comparison import Comparison
@@ -37,7 +36,7 @@ def decide(comparison: Comparison, found: Examination) -> Decided:
     named = found.named(decision)
     floors = stage_floors(comparison.setup, found.plain, named)
     tip_floor = None
-    tip = comparison.tips.fetch([named.point])[0]
+    tip = comparison.tip_gaps([named.point])[0]
     if np.isfinite(tip).any():
         tip_floor = chain_floor(comparison.grid, comparison.model, comparison.setup, named, tip)
     if decision.kind == "none":
@@ -51,7 +50,7 @@ def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:
     signs: dict[str, Structure] = {}
     if "rail" in comparison.stages:
         view = comparison.views[comparison.stages.index("rail")]
-        drifting = drift(view, found.null_residuals["rail"], found.residuals["rail"], ROBOT.gap.structure_share)
+        drifting = drift(view, found.null_residuals["rail"], found.residuals["rail"])
         signs |= {"rail": drifting} if drifting else {}
     if (loose := loose_marker(comparison.trials, comparison.grid.links)) is not None:
         where = f"the markers of link {loose.link} move {1e3 * loose.rms_m:.1f} mm relative to the link"
@@ -67,7 +66,7 @@ def _above_floors(comparison: Comparison, floors: Mapping[str, float], tip_floor
         if ratio > 1:
             found[view.stage] = Structure(ratio**2, f"gap of {ratio:.2g} times its noise floor")
     if not found and tip_floor is not None:
-        ratio = np.sqrt(2) * rms(comparison.tips.fetch([{}])[0]) / tip_floor
+        ratio = np.sqrt(2) * rms(comparison.tip_gaps([{}])[0]) / tip_floor
         if ratio > 1:
             stage = stage_of_tip_gap(comparison.grid, comparison.model)
             found[stage] = Structure(ratio**2, f"tip gap of {ratio:.2g} times its noise floor")

@@ -3,14 +3,15 @@
 import math
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from softarm.diagnosis.answer import rivals
-from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
+from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of, share
 from softarm.diagnosis.answer.evidence import overlays, regimes, spectrum
 from softarm.diagnosis.data.trials import Trial
-from softarm.diagnosis.engine.candidates import FittedParameter
+from softarm.diagnosis.engine.candidates import FittedParameter, split
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind, stage_of, stage_shares
 from softarm.diagnosis.engine.examination import Examination
@@ -30,7 +31,7 @@ from softarm.diagnosis.robot.drive import SERVO
 from softarm.diagnosis.robot.shrinks import effect_shrink, stage_gap, tip_gap
 from softarm.diagnosis.robot.trial_grid import RATE_HZ
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Estimate, NamedEffect, NextExperiment, Shrink, Where
+from softarm.schemas.verdict import Estimate, NamedEffect, NextExperiment, Shrink, Verdict, Where
 from softarm.simulator.effects import REGISTRY, STAGES, find
 
 ALWAYS_SHOWN = ("clock", "observation")  # counted stages that are listed without a named effect as well
@@ -42,16 +43,7 @@ AT_BOUND_MIN = 50.0  # gain of an effect at its bound that is worth a warning
 
 
 def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Diagnosis:
-    """Return the diagnosis of the robot.
-
-    Args:
-        trials: trials of the robot.
-        nominal: nominal model.
-        progress: called with the current step and the finished share, 0 to 1.
-
-    Raises:
-        TrialError: no stage can be compared.
-    """
+    """Return the diagnosis of the robot's trials by a nominal model; raise TrialError if no stage can be compared."""
     started = time.monotonic()
     comparison = compare(trials, nominal, progress)
     counted = counts(comparison.trials, comparison.model)
@@ -66,19 +58,28 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
     progress("fitting a flexible model", 0.75)
     decided = decide(comparison, found)
     progress("measuring the shrink of the gap", 0.85)
-    answer = _answer(comparison, found, decided, counted)
+    stages = _stages(comparison, found, decided, counted)
     patched = None
     if decided.decision.selected or named:
         patched = _patched(comparison.model, decided, named)
     whole = patched
     if decided.calibrated.values:
         whole = with_calibration(patched or comparison.model, decided.calibrated.values)
-    return assemble(answer, comparison.trials, started, nominal, patched, whole)
+    return replace(
+        assemble(_verdict(comparison, found, decided, named, stages), stages, comparison.trials, started),
+        nominal=nominal,
+        patched=patched,
+        calibrated=whole,
+        rivals=rivals.by_gain(found.search, found.choice, decided.decision),
+        held_out=comparison.setup.held_out,
+        margins=margins(decided.decision.selected),
+    )
 
 
-def _answer(comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count]) -> Answer:
-    choice, decision = found.choice, decided.decision
-    named = [count for count in counted if count.named]
+def _verdict(
+    comparison: Comparison, found: Examination, decided: Decided, named: Sequence[Count], stages: Sequence[StageAnswer]
+) -> Verdict:
+    decision = decided.decision
     energies: dict[str, float] = {}
     for count in named:
         energies[count.stage] = energies.get(count.stage, 0.0) + (count.before / count.floor) ** 2
@@ -88,18 +89,15 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
         kind = "named" if kind in ("none", "named") else "incomplete"
     stage = None if kind == "none" else stage_of(shares, STAGES)
     effects = _named_effects(comparison, found, decided) + [_count_effect(count) for count in named]
-    return Answer(
-        kind=kind,
+    return Verdict(
+        verdict=kind,
         where=Where(stage=stage, share=shares, regime=_regime(comparison, found, stage)),
         effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
-        stages=tuple(_stages(comparison, found, decided, counted)),
-        rivals=rivals.by_gain(found.search, choice, decision),
-        margins=margins(decision.selected),
-        calibration=decided.calibrated.parameters,
-        held_out=comparison.setup.held_out,
-        next_experiment=_next(comparison, found, decision),
-        warnings=tuple(_warnings(comparison, choice, decision)),
         equal_sets=decision.equal_sets,
+        calibration=decided.calibrated.parameters,
+        gap=gap_of(stages),
+        next_experiment=_next(comparison, found, decision),
+        warnings=tuple(dict.fromkeys(_warnings(comparison, found.choice, decision))),
     )
 
 
@@ -115,18 +113,15 @@ def _regime(comparison: Comparison, found: Examination, stage: str | None) -> st
 
 
 def _named_effects(comparison: Comparison, found: Examination, decided: Decided) -> list[NamedEffect]:
-    """Return the named effects with their sizes and shrinks."""
     fit, without = decided.fit, found.without_each(decided.fit)
-    low, high = found.interval(fit)
-    fitted = [u for each in fit.u for u in each]
+    lows, highs = (split(fit.effects, end) for end in found.interval(fit))
     effects = []
     for effect in decided.decision.selected:
         name = effect.candidate.name
-        first = sum(len(c.parameters) for c in fit.effects[: fit.names.index(name)])
-        parameters = {}
-        for i, parameter in enumerate(effect.candidate.parameters, first):
+        i, parameters = fit.names.index(name), {}
+        for parameter, *size in zip(effect.candidate.parameters, fit.u[i], lows[i], highs[i], strict=True):
             value = fit.point[parameter.path]
-            ends = _with_tolerance(parameter, fitted[i], low[i], high[i])
+            ends = _with_tolerance(parameter, *size)
             if np.isfinite(value):
                 finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
                 estimate = Estimate(value=value, low=min(finite), high=max(finite), unit=parameter.unit)
@@ -162,7 +157,6 @@ def _with_tolerance(parameter: FittedParameter, u: float, low: float, high: floa
 
 
 def _count_effect(count: Count) -> NamedEffect:
-    """Return an effect that was measured from stamps and noise."""
     estimate = Estimate(value=count.value, low=count.low, high=count.high, unit=count.unit)
     parameters = {count.parameter: estimate} if count.parameter else {}
     spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
@@ -225,12 +219,12 @@ def _next(comparison: Comparison, found: Examination, decision: Decision) -> Nex
     asked = None
     for explanations in _explanations(found, decision):
         plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.kinds)
-        if plan is not None and plan.expect:
+        if plan.expect:
             return plan
         asked = asked or plan
-    if asked is not None or decision.kind not in ("unknown", "incomplete"):
-        return asked
-    return experiments.repeated(_worst_kind(comparison, found))
+    if asked is None and decision.kind in ("unknown", "incomplete"):
+        return experiments.repeated(_worst_kind(comparison, found))
+    return asked
 
 
 def _explanations(found: Examination, decision: Decision) -> Iterator[dict[str, Point]]:

@@ -15,7 +15,7 @@ from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Rows, slices
 from softarm.diagnosis.robot.candidates import nuisances
 from softarm.diagnosis.robot.trial_grid import STEP_S, on_grid
@@ -25,8 +25,6 @@ from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.schemas.verdict import NextExperiment
 from softarm.simulator.simulator import Simulator
-
-Array = NDArray[np.float64]
 
 LEAST = 0.5  # smallest useful separation, noise floors
 # Smallest useful separation, in multiples of the best recorded trial's, which was not enough.
@@ -38,28 +36,22 @@ NOTHING = "no excitation in the list separates these"
 
 
 def splitting(
-    model: Model, explanations: Mapping[str, Point], recorded: FitProblem | None = None, kinds: Sequence[str] = ()
-) -> NextExperiment | None:
-    """Return the excitation that separates the closest pair of explanations best, or None for fewer than two.
+    model: Model, explanations: Mapping[str, Point], recorded: FitProblem, kinds: Sequence[str]
+) -> NextExperiment:
+    """Return the excitation that separates the closest pair of explanations best.
 
     Of an excitation that was recorded, only the stages that no trial of it showed count.
 
     Args:
         model: nominal model.
-        explanations: effect -> fitted parameters.
+        explanations: effect -> fitted parameters, two or more.
         recorded: problem of the recorded trials, in units of the noise floors.
         kinds: excitation of each recorded trial.
     """
     names, points = tuple(explanations), tuple(explanations.values())
-    if len(names) < 2:
-        return None
     grid = on_grid(flights(model, points[0]), model)
     problem = Setup(robot_views(grid, model), nuisances(model), list(EXCITATIONS)).plain()
-    known = np.zeros((len(EXCITATIONS), len(problem.whitened)), dtype=bool)
-    before = 0.0
-    if recorded is not None:
-        known = _known(problem, recorded, kinds)
-        before = float(closest(recorded, points).max())
+    known, before = _known(problem, recorded, kinds), float(closest(recorded, points).max())
     far = np.where(known, 0.0, closest(problem, points)).max(axis=1)
     enough = far >= max(LEAST, FURTHER * before)
     short = enough & np.array([plan.duration_s <= LONGEST_S for plan in EXCITATIONS.values()])

@@ -13,6 +13,7 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.structure import Structure
+from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import samples, slices
 from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
@@ -61,17 +62,16 @@ def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:
     return model.model_copy(update={"arm": model.arm.model_copy(update=changed)})
 
 
-def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating], share: float) -> Structure | None:
+def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating]) -> Structure | None:
     """Return the slow part of the rail's velocity residual, or None if it is within its floor.
 
     Args:
         view: view of the rail.
         before: residual without the chosen effects, m/s, [M, 1].
         after: residual with them.
-        share: share of the energy they remove that may remain.
     """
     first, last = (slow(view, residual) / DRIFT_FLOOR_M_S for residual in (before, after))
-    if last**2 <= max(1.0, share * (first**2 - last**2)):
+    if last**2 <= max(1.0, ROBOT.gap.structure_share * (first**2 - last**2)):
         return None
     return Structure(
         last**2, f"velocity error of {1e3 * last * DRIFT_FLOOR_M_S:.1f} mm/s averaged over one second (drift)"

@@ -37,7 +37,7 @@ def stage_gap(comparison: Comparison, view: View, gaps: Gaps, points: Sequence[P
 
 def tip_gap(comparison: Comparison, points: Sequence[Point]) -> HeldOutGap | None:
     """Return the tip's gap from commands alone, m, or None if mocap has no tip; points as for a stage."""
-    tips = comparison.tips.fetch([{}, *points])
+    tips = comparison.tip_gaps([{}, *points])
     if not np.isfinite(tips).any():
         return None
     patched = comparison.held_out(tips[1:])
@@ -66,7 +66,7 @@ def effect_shrink(
     fits = (without.fold_points, named.fold_points)
     stage = interval(*(_squares(plain, residual, each, len(comparison.trials)) for each in fits))
     less = [{k: v for k, v in each.items() if k not in own} for each in named.fold_points]
-    tips = [comparison.held_out(gaps) for gaps in np.split(comparison.tips.fetch([*less, *named.fold_points]), 2)]
+    tips = [comparison.held_out(gaps) for gaps in np.split(comparison.tip_gaps([*less, *named.fold_points]), 2)]
     chain = None
     if np.isfinite(tips).any():
         trial = comparison.grid.sample[1]

@@ -12,10 +12,10 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from softarm.diagnosis.data.trials import Series, Trial, TrialError, check_links
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.robot.counts import cameras_clock, mocap_noise
 from softarm.schemas.model import Model
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RATE_HZ = 60.0
@@ -78,7 +78,7 @@ def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
         np.concatenate([np.arange(round(SKIPPED_S * RATE_HZ), n) for n in steps]),
         np.repeat(np.arange(len(parts)), steps - round(SKIPPED_S * RATE_HZ)),
     )
-    held, axis_true = (stacked.pop(name)[0] > 0 for name in ("held", "axis_true"))
+    axis_true = stacked.pop("axis_true")[0] > 0
     noise = np.array([each[0] for trial in trials if (each := mocap_noise(trial)) is not None])
     beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0
     return TrialGrid(
@@ -86,7 +86,7 @@ def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
         steps=steps,
         sample=sample,
         noise_m=float(beyond),
-        held=held,
+        held=np.array([trial.rail == "held" for trial in trials]),
         axis_true=axis_true,
         **stacked,
     )
@@ -119,7 +119,6 @@ def _part(trial: Trial, model: Model) -> dict[str, Array]:
         "pressure_kpa": _sampled(trial.channels.get("pressure"), "pressure", t),
         "axis_m": _sampled(trial.channels.get("rail"), "position", t),
         "axis_m_s": _sampled(trial.channels.get("rail"), "velocity", t),
-        "held": np.full(len(t), float(held)),
     }
     return part | _poses(trial, t, model, held, part["axis_m"])
 

@@ -41,6 +41,12 @@ def parameters(*effects: str) -> frozenset[str]:
     return frozenset(f"{name}.{p.name}" for name in effects for p in REGISTRY[name].parameters)
 
 
+def value_at(point: Point, path: str, model: Model) -> float:
+    """Return a parameter at a point, by default the model's."""
+    effect, _, parameter = path.rpartition(".")
+    return point.get(path, value(model, effect, parameter))
+
+
 def _stage(stage: str) -> tuple[str, ...]:
     return tuple(name for name, effect in REGISTRY.items() if effect.stage == stage)
 
@@ -120,8 +126,7 @@ class RobotView:
 
     def _value(self, points: Sequence[Point], path: str) -> Array:
         """Return a parameter at each point, [P]."""
-        effect, _, parameter = path.rpartition(".")
-        return np.array([p.get(path, value(self.model, effect, parameter)) for p in points])
+        return np.array([value_at(point, path, self.model) for point in points])
 
     def _robots(self, values: Array) -> Array:
         """Return one value per robot from one per point; a robot is one trial at one point."""

@@ -15,11 +15,6 @@ def test_every_draw_has_all_blocks_and_is_reproducible():
         drawn[0, 0] = 1.0
 
 
-def test_a_bootstrap_of_no_blocks_is_rejected():
-    with pytest.raises(ValueError, match="nothing to draw from"):
-        resample.draws(0)
-
-
 def test_one_block_has_an_interval_of_no_width():
     assert resample.interval(resample.draws(1) @ np.array([3.0])) == (3.0, 3.0)
 
@@ -30,12 +25,3 @@ def test_the_interval_of_a_mean_matches_the_central_limit():
     error = values.std() / np.sqrt(400)
     assert high - low == pytest.approx(2 * 1.96 * error, rel=0.06)
     assert low < values.mean() < high
-
-
-def test_each_column_has_an_interval_of_its_own():
-    values = np.random.default_rng(2).normal(size=(60, 3)) * (1.0, 10.0, 100.0)
-    low, high = resample.interval(resample.draws(60) @ values)
-    assert (high - low).shape == (3,)
-    for k in range(3):
-        alone = resample.interval(resample.draws(60) @ values[:, k])
-        np.testing.assert_allclose((low[k], high[k]), alone)

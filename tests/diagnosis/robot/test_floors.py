@@ -31,19 +31,19 @@ PULLED = np.where((VIEW.t_s > 5)[:, None], -0.010, 0.0)  # half its floor: 10 cm
 
 def test_noise_as_large_as_the_velocity_s_floor_does_not_drift():
     assert slow(VIEW, NOISE) < DRIFT_FLOOR_M_S
-    assert drift(VIEW, NOISE, NOISE, 0.15) is None
+    assert drift(VIEW, NOISE, NOISE) is None
 
 
 def test_a_pull_far_below_the_velocity_s_floor_drifts():
-    found = drift(VIEW, NOISE + PULLED, NOISE + PULLED, 0.15)
+    found = drift(VIEW, NOISE + PULLED, NOISE + PULLED)
     assert found is not None
     assert found.energy == pytest.approx(0.010**2 * 2 / 3 / DRIFT_FLOOR_M_S**2, rel=0.2)
     assert "drift" in found.where
 
 
 def test_a_small_rest_of_a_large_drift_is_no_further_cause():
-    assert drift(VIEW, 10 * PULLED, PULLED, 0.15) is None
-    assert drift(VIEW, 2 * PULLED, PULLED, 0.15) is not None
+    assert drift(VIEW, 10 * PULLED, PULLED) is None
+    assert drift(VIEW, 2 * PULLED, PULLED) is not None
 
 
 def test_missing_samples_do_not_drift():
