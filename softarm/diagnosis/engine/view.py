@@ -18,41 +18,15 @@ Point = Mapping[str, float]
 class View(Protocol):
     """View of one stage: M samples of all trials in order, on uniform stamps within each trial; S channels."""
 
-    @property
-    def stage(self) -> str:
-        """Return the name of the stage, of `softarm.simulator.effects.STAGES` or of a rig."""
-
-    @property
-    def unit(self) -> str:
-        """Return the unit of all channels."""
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Return the names of the channels in words, [S]."""
-
-    @property
-    def t_s(self) -> Array:
-        """Return the time on the trial's clock, s, [M]."""
-
-    @property
-    def trial(self) -> NDArray[np.int64]:
-        """Return the index of each sample's trial, [M]."""
-
-    @property
-    def measured(self) -> Array:
-        """Return the measurements, [M, S]; NaN if missing."""
-
-    @property
-    def floor(self) -> Array:
-        """Return the noise floor, RMS, [S]: sensor noise and the tolerance of a good simulator."""
-
-    @property
-    def noise(self) -> Array:
-        """Return the RMS of further white measurement noise, [S]; it does not count as a gap."""
-
-    @property
-    def acts(self) -> frozenset[str]:
-        """Return the parameters (keys of a Point) that act on the prediction."""
+    stage: str  # of `softarm.simulator.effects.STAGES` or of a rig
+    unit: str  # of all channels
+    channels: tuple[str, ...]  # names in words, [S]
+    t_s: Array  # time on the trial's clock, s, [M]
+    trial: NDArray[np.int64]  # index of each sample's trial, [M]
+    measured: Array  # [M, S]; NaN if missing
+    floor: Array  # noise floor, RMS, [S]: sensor noise and the tolerance of a good simulator
+    noise: Array  # RMS of further white measurement noise, [S]; it does not count as a gap
+    acts: frozenset[str]  # parameters (keys of a Point) that act on the prediction
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -72,9 +46,11 @@ class View(Protocol):
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with the view's own nuisances, to their edges, [q, M, S]."""
+        return np.empty((0, *self.measured.shape), np.float32)
 
     def start_directions(self) -> NDArray[np.float32] | None:
         """Return the changes of the gap with a trial's start, [d, M, S], or None if the start is measured."""
+        return None
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """Return measured minus predicted at each point, [P, M, S]; NaN if not measured."""

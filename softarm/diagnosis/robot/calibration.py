@@ -9,7 +9,8 @@ from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.comparison import Comparison
-from softarm.diagnosis.robot.floors import tip_gap_with, with_joints
+from softarm.diagnosis.robot.floors import tip_gap_with
+from softarm.diagnosis.robot.views import with_joints
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, find, value
 

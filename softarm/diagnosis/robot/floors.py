@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import samples, slices
 from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
 from softarm.diagnosis.robot.trial_grid import TrialGrid
-from softarm.diagnosis.robot.views import JOINT_SHARES
+from softarm.diagnosis.robot.views import with_joints
 from softarm.schemas.model import Model
 
 # Floor of the cart's velocity averaged over one second: 6 mm/s are a third of the velocity's floor, but 10 cm in 20 s.
@@ -48,18 +48,6 @@ def tip_gap_with(grid: TrialGrid, model: Model, nuisances: Mapping[str, float], 
     plain = {path: x for path, x in nuisances.items() if "[" not in path}
     gap: NDArray[np.floating] = tip_gap(grid, with_joints(model, nuisances), [plain | dict(point)])[0]
     return gap
-
-
-def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:
-    """Return the model with its single joints changed by the fitted nuisances, `arm.NAME[JOINT]`."""
-    changed: dict[str, tuple[float, ...]] = {}
-    for name in JOINT_SHARES:
-        values = getattr(model.arm, name)
-        largest = max(map(abs, values))
-        shares = [nuisances.get(f"arm.{name}[{i}]", 0.0) for i in range(1, len(values) + 1)]
-        of = [largest if name == "torque_offset_nm" else value for value in values]
-        changed[name] = tuple(value + share * size for value, share, size in zip(values, shares, of, strict=True))
-    return model.model_copy(update={"arm": model.arm.model_copy(update=changed)})
 
 
 def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating]) -> Structure | None:

@@ -1,14 +1,13 @@
 """Views of the robot's stages: regulator, rail, arm and mocap, each driven by its measured inputs."""
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.robot.trial_grid import RATE_HZ, STEP_S, TrialGrid
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
@@ -54,13 +53,9 @@ def _stage(stage: str) -> tuple[str, ...]:
 PHYSICS = parameters(*_stage("pressure"), *_stage("rail"), *_stage("arm"))
 
 
-class RobotView:
-    """Base of the robot's views; satisfies `engine.view.View`."""
+class RobotView(View):
+    """Base of the robot's views."""
 
-    stage = ""
-    unit = ""
-    channels: tuple[str, ...] = ()
-    acts: frozenset[str] = frozenset()
     own_nuisances: Mapping[str, float] = {}
     _floor = 0.0
     _echoed: frozenset[str] = frozenset()
@@ -69,13 +64,9 @@ class RobotView:
         self.grid, self.model = grid, model
         self.t_s: Array = np.asarray(grid.flat(grid.t_s))
         self.trial = grid.sample[1]
+        self.measured: Array = np.asarray(grid.flat(self._seen()))
         self.floor: Array = np.full(len(self.channels), self._floor)
         self.noise: Array = np.zeros(len(self.channels))
-
-    @cached_property
-    def measured(self) -> Array:
-        """Return the measurements, [M, S]; NaN if missing."""
-        return np.asarray(self.grid.flat(self._seen()))
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -94,14 +85,6 @@ class RobotView:
     def echoes(self) -> frozenset[str]:
         """Return the features that contain the view's own measurement."""
         return frozenset(name for name in self.features if name in self._echoed or name.startswith(("link ", "tip ")))
-
-    def own_directions(self) -> NDArray[np.float32]:
-        """Return the changes of the gap with the view's own nuisances, [q, M, S]."""
-        return np.empty((0, *self.measured.shape), np.float32)
-
-    def start_directions(self) -> NDArray[np.float32] | None:
-        """Return None, since the start is measured."""
-        return None
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """Return measured minus predicted at each point, [P, M, S]."""
@@ -250,9 +233,9 @@ class ArmView(RobotView):
     ) | {ON_MOTOR}
 
     def __init__(self, grid: TrialGrid, model: Model) -> None:
-        super().__init__(grid, model)
         link = np.arange(1, grid.links + 1)
         self.channels = tuple(f"link {i} {part}" for part in ("y", "z") for i in link)
+        super().__init__(grid, model)
         self.floor = np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
         self.noise = np.full(2 * grid.links, np.sqrt(2) * grid.noise_m)  # of a link end relative to the cart
         self.own_nuisances = {f"arm.{name}[{i}]": share for name, share in JOINT_SHARES.items() for i in link}
@@ -277,14 +260,9 @@ class ArmView(RobotView):
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with the view's own nuisances, [q, M, S]."""
-        n, arm, k = self.grid.links, self.model.arm, len(self.grid.trials)
-        models = []
-        for name, share in JOINT_SHARES.items():
-            for i in range(n):
-                values = list(getattr(arm, name))
-                values[i] += share * (values[i] if name != "torque_offset_nm" else max(map(abs, values)))
-                models += [self.model.model_copy(update={"arm": arm.model_copy(update={name: tuple(values)})})] * k
-        moved = self._fly(StageSimulator(models, physics_rate_hz=ARM_HZ), [{}] * (len(JOINT_SHARES) * n))
+        changed = [with_joints(self.model, {path: share}) for path, share in self.own_nuisances.items()]
+        models = [model for model in changed for _ in self.grid.trials]
+        moved = self._fly(StageSimulator(models, physics_rate_hz=ARM_HZ), [{}] * len(changed))
         return self._less(moved) - self._gap([{}])
 
     def _fly(
@@ -383,6 +361,18 @@ class MocapView(RobotView):
         if half <= 0:
             return way
         return _coasting(way, half, np.where(self.grid.held, 0.0, self.grid.push_n) / self.model.cart.mass_kg)
+
+
+def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:
+    """Return the model with its single joints changed by the fitted nuisances, `arm.NAME[JOINT]`."""
+    changed: dict[str, tuple[float, ...]] = {}
+    for name in JOINT_SHARES:
+        values = getattr(model.arm, name)
+        largest = max(map(abs, values))
+        shares = [nuisances.get(f"arm.{name}[{i}]", 0.0) for i in range(1, len(values) + 1)]
+        of = [largest if name == "torque_offset_nm" else value for value in values]
+        changed[name] = tuple(value + share * size for value, share, size in zip(values, shares, of, strict=True))
+    return model.model_copy(update={"arm": model.arm.model_copy(update=changed)})
 
 
 def _coasting(way: Array, half: float, pushed_m_s2: Array) -> Array:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.robot.chain import stage_of_tip_gap, tip_gap
-from softarm.diagnosis.robot.floors import DRIFT_FLOOR_M_S, drift, slow, with_joints
+from softarm.diagnosis.robot.floors import DRIFT_FLOOR_M_S, drift, slow
 from softarm.diagnosis.robot.trial_grid import on_grid
+from softarm.diagnosis.robot.views import with_joints
 from softarm.schemas.model import Model
 
 LENGTH, STEP_S = 900, 1 / 60
