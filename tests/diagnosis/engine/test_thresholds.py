@@ -89,125 +89,49 @@ def test_a_rival_that_removes_as_little_energy_may_be_the_cause_as_well(removed)
     assert not search.is_equivalent(fit(), fit(PAYLOAD), same, own)
 
 
-def test_next_to_an_effect_from_stamps_a_change_within_tolerance_is_not_named():
-    tolerant = replace(PAYLOAD, parameters=(replace(PARAMETER, tolerance=2.0),))
-    clear = Gain(200.0, 150.0, 250.0, {"arm": 0.9}, {"arm": 90.0})
-    assert Energies(ROBOT).is_nameable(fit(tolerant), clear)
-    assert not Energies(NEXT_TO_ANOTHER).is_nameable(fit(tolerant), clear)
-    assert Energies(NEXT_TO_ANOTHER).is_nameable(fit(PAYLOAD), clear)
-
-
 def is_correction(t, left):
     return Energies(t, left=left).is_correction(fit(), Gain(10.0, 5.0, 15.0, {"arm": 0.01}, {"arm": 0.5}))
 
 
-# Name -> threshold set, probe on the lower side, probe on the upper side. The two answers differ.
-PROBES = {
-    "gain.ignored": (RIG, lambda t: is_correction(t, 2.5), lambda t: is_correction(t, 6.0)),
-    "gain.loss_min": (ROBOT, lambda t: is_gain(t, 6.0, 5.0), lambda t: is_gain(t, 12.0, 11.0)),
-    "gain.resolved_min": (
-        ROBOT,
-        lambda t: is_gain(t, 30.0, 15.0, energy=0.01, first=0.02),
-        lambda t: is_gain(t, 60.0, 30.0, energy=0.01, first=0.02),
-    ),
-    "gain.further_min": (
-        ROBOT,
-        lambda t: is_gain(t, share=0.15, energy=4.0),
-        lambda t: is_gain(t, share=0.15, energy=9.0),
-    ),
-    "gain.further_share": (
-        ROBOT,
-        lambda t: is_gain(t, share=0.3, energy=1.0),
-        lambda t: is_gain(t, share=0.6, energy=1.0),
-    ),
-    "rival.lack_max": (
-        ROBOT,
-        lambda t: is_equivalent(t, 7.0, gain=130.0),
-        lambda t: is_equivalent(t, 14.0, gain=130.0),
-    ),
-    "rival.lack_share": (
-        ROBOT,
-        lambda t: is_equivalent(t, 30.0, gain=1000.0),
-        lambda t: is_equivalent(t, 60.0, gain=1000.0),
-    ),
-    "rival.share_max": (
-        ROBOT,
-        lambda t: is_equivalent(t, 7.0, gain=80.0),
-        lambda t: is_equivalent(t, 7.0, gain=40.0),
-    ),
-    "rival.misfit_share": (
-        RIG,
-        lambda t: is_equivalent(t, 180.0, rest=1000.0),
-        lambda t: is_equivalent(t, 350.0, rest=1000.0),
-    ),
-    "cause.explained_min": (ROBOT, lambda t: named(t, 101.0, 31.0, 1.0), lambda t: named(t, 101.0, 8.0, 1.0)),
-    "cause.answer_min": (
-        ROBOT,
-        lambda t: _answered(t, 7.0),
-        lambda t: _answered(t, 15.0),
-    ),
-    "cause.floor_share": (
-        RIG,
-        lambda t: named(t, 101.0, 6.0, scatter=1.0),
-        lambda t: named(t, 101.0, 11.0, scatter=1.0),
-    ),
-    "cause.floor_most": (
-        RIG,
-        lambda t: named(t, 12000.0, 170.0, scatter=1.0),
-        lambda t: named(t, 12000.0, 320.0, scatter=1.0),
-    ),
-    "cause.rest_most": (
-        RIG,
-        lambda t: kind(t, 3000.0, 22.0, 0.0, 2978.0),
-        lambda t: kind(t, 3000.0, 42.0, 0.0, 2958.0),
-    ),
-    "cause.bent_share": (
-        RIG,
-        lambda t: _whole(t, 75.0),
-        lambda t: _whole(t, 110.0),
-    ),
-    "cause.explained_over": (RIG, lambda t: named(t, 1000.0, 71.0), lambda t: named(t, 1000.0, 91.0)),
-    "cause.scatter_max": (
-        ROBOT,
-        lambda t: named(t, 1e6, 1e4, scatter=0.045),
-        lambda t: named(t, 1e6, 1e4, scatter=0.085),
-    ),
-    "cause.chance": (ROBOT, lambda t: named(t, 5.0, 1.1, scatter=0.09), lambda t: named(t, 5.0, 1.1, scatter=0.14)),
-    "cause.constant_max": (
-        ROBOT,
-        lambda t: named(t, 1e6, 1e4, effect=CONSTANT, scatter=0.03),
-        lambda t: named(t, 1e6, 1e4, effect=CONSTANT, scatter=0.055),
-    ),
-    "gap.unknown_min": (ROBOT, lambda t: kind(t, 1.35, 1.35), lambda t: kind(t, 1.7, 1.7)),
-    "gap.random_share": (ROBOT, lambda t: kind(t, 1.7, 1.7, 0.0), lambda t: kind(t, 2.5, 2.5, 0.0)),
-    "gap.structure_min": (
-        ROBOT,
-        lambda t: kind(t, 0.9, 0.9, **structure(0.7)),
-        lambda t: kind(t, 0.9, 0.9, **structure(1.4)),
-    ),
-    "gap.structure_share": (
-        ROBOT,
-        lambda t: kind(t, 101.0, 1.0, 0.0, 100.0, **structure(11.0)),
-        lambda t: kind(t, 101.0, 1.0, 0.0, 100.0, **structure(21.0)),
-    ),
-    "gap.tolerated_share": (
-        RIG,
-        lambda t: kind(t, 8.0, 8.0, tolerated={"arm": 65.0}),
-        lambda t: kind(t, 8.0, 8.0, tolerated={"arm": 34.0}),
-    ),
-}
-
-
-def _answered(t, explained):
+def answered(t, explained):
     """Return the verdict on a small effect next to a large unexplained gap of another stage."""
     found = choice(1 + explained, 1.0, PAYLOAD, explained)
     energies = {"arm": 1 + explained, "rail": 101.0}, {"arm": 1.0, "rail": 101.0}
     return decide(replace(found, energies=energies), Evidence({"rail": 1.0}), t).kind
 
 
-def _whole(t, after):
+def swinging(t, after):
     """Return the verdict on a swing with large linearisation errors."""
     return kind(t, 3000.0 + after, after, 0.0, 3000.0, bent={"arm": 1e9})
+
+
+# Name -> threshold set, probe, and its arguments below and above the threshold, which give different answers.
+PROBES = {
+    "gain.ignored": (RIG, is_correction, 2.5, 6.0),
+    "gain.loss_min": (ROBOT, lambda t, x: is_gain(t, x, x - 1), 6.0, 12.0),
+    "gain.resolved_min": (ROBOT, lambda t, x: is_gain(t, x, x / 2, energy=0.01, first=0.02), 30.0, 60.0),
+    "gain.further_min": (ROBOT, lambda t, x: is_gain(t, share=0.15, energy=x), 4.0, 9.0),
+    "gain.further_share": (ROBOT, lambda t, x: is_gain(t, share=x, energy=1.0), 0.3, 0.6),
+    "rival.lack_max": (ROBOT, lambda t, x: is_equivalent(t, x, gain=130.0), 7.0, 14.0),
+    "rival.lack_share": (ROBOT, lambda t, x: is_equivalent(t, x, gain=1000.0), 30.0, 60.0),
+    "rival.share_max": (ROBOT, lambda t, x: is_equivalent(t, 7.0, gain=x), 80.0, 40.0),
+    "rival.misfit_share": (RIG, lambda t, x: is_equivalent(t, x, rest=1000.0), 180.0, 350.0),
+    "cause.explained_min": (ROBOT, lambda t, x: named(t, 101.0, x, 1.0), 31.0, 8.0),
+    "cause.answer_min": (ROBOT, answered, 7.0, 15.0),
+    "cause.floor_share": (RIG, lambda t, x: named(t, 101.0, x, scatter=1.0), 6.0, 11.0),
+    "cause.floor_most": (RIG, lambda t, x: named(t, 12000.0, x, scatter=1.0), 170.0, 320.0),
+    "cause.rest_most": (RIG, lambda t, x: kind(t, 3000.0, x, 0.0, 3000.0 - x), 22.0, 42.0),
+    "cause.bent_share": (RIG, swinging, 75.0, 110.0),
+    "cause.explained_over": (RIG, lambda t, x: named(t, 1000.0, x), 71.0, 91.0),
+    "cause.scatter_max": (ROBOT, lambda t, x: named(t, 1e6, 1e4, scatter=x), 0.045, 0.085),
+    "cause.chance": (ROBOT, lambda t, x: named(t, 5.0, 1.1, scatter=x), 0.09, 0.14),
+    "cause.constant_max": (ROBOT, lambda t, x: named(t, 1e6, 1e4, effect=CONSTANT, scatter=x), 0.03, 0.055),
+    "gap.unknown_min": (ROBOT, lambda t, x: kind(t, x, x), 1.35, 1.7),
+    "gap.random_share": (ROBOT, lambda t, x: kind(t, x, x, 0.0), 1.7, 2.5),
+    "gap.structure_min": (ROBOT, lambda t, x: kind(t, 0.9, 0.9, **structure(x)), 0.7, 1.4),
+    "gap.structure_share": (ROBOT, lambda t, x: kind(t, 101.0, 1.0, 0.0, 100.0, **structure(x)), 11.0, 21.0),
+    "gap.tolerated_share": (RIG, lambda t, x: kind(t, 8.0, 8.0, tolerated={"arm": x}), 65.0, 34.0),
+}
 
 
 def moved(t, name, factor):
@@ -225,27 +149,24 @@ def test_an_effect_that_the_model_lacks_is_named_within_its_tolerance_if_noise_r
     assert not search.is_nameable(fit(calibrated), clear)
     assert search.is_nameable(fit(PAYLOAD), replace(clear, value=20.0))
     assert not Energies(RIG).is_nameable(fit(missing), clear)
+    assert not Energies(NEXT_TO_ANOTHER).is_nameable(fit(missing), clear)
+    assert Energies(NEXT_TO_ANOTHER).is_nameable(fit(PAYLOAD), clear)
     assert not search.is_nameable(fit(PAYLOAD, missing), clear)  # next to another effect
 
 
 @pytest.mark.parametrize("name", PROBES)
 def test_a_threshold_lies_between_its_two_probes(name):
-    t, below, above = PROBES[name]
-    assert below(t) != above(t)
+    t, probe, below, above = PROBES[name]
+    assert probe(t, below) != probe(t, above)
     for factor in (0.5, 2.0):
         other = moved(t, name, factor)
-        assert (below(other), above(other)) != (below(t), above(t)), factor
+        assert [probe(other, x) for x in (below, above)] != [probe(t, x) for x in (below, above)], factor
 
 
 def test_every_threshold_has_probes():
-    known = {
-        f"{group}.{field}" for group in ("gain", "rival", "cause", "gap") for field in _fields(getattr(ROBOT, group))
-    }
+    groups = ("gain", "rival", "cause", "gap")
+    known = {f"{group}.{field}" for group in groups for field in type(getattr(ROBOT, group)).__slots__}
     assert known - {"gain.visible"} == set(PROBES)
-
-
-def _fields(rule):
-    return type(rule).__slots__
 
 
 @pytest.mark.parametrize("column", ["share", "energy", "low"])

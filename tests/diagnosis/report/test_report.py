@@ -291,10 +291,6 @@ def test_many_effects_are_grouped_by_law():
     )
 
 
-def test_a_card_states_what_its_cause_weighs_at_the_tip():
-    assert "50 % (40 to 60) of the tip's (10 mm)" in Page(report.render(CASES["named"])).words
-
-
 def test_every_shrink_has_its_interval_or_states_that_it_is_unknown():
     shrink = "pressure gap, 74 % less, 95 % interval"
     assert f"{shrink} 70 to 78" in Page(report.render(CASES["named"])).words
@@ -447,6 +443,7 @@ EVIDENCE = (
     "took 12 s",
     "Unique share: how much of the gap (RMS) disappears when this effect joins",
     "Tip: the tip's position, simulated from commands alone",
+    "50 % (40 to 60) of the tip's (10 mm)",
     "The share compares squared gaps, each in units of its stage's noise floor.",
 )
 

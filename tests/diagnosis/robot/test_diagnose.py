@@ -154,7 +154,7 @@ def test_a_zero_error_and_a_biased_sensor_are_inseparable_without_mocap(diagnose
     assert verdict.next_experiment.excitation.startswith(NOTHING)
 
 
-@pytest.mark.parametrize("out", [(), *ONE_AT_A_TIME, PAIR], ids="+".join)
+@pytest.mark.parametrize("out", [(), PAIR], ids="+".join)
 def test_a_verdict_survives_its_file(out, diagnosed):
     verdict = diagnosed(out).verdict
     assert Verdict.model_validate_json(verdict.model_dump_json()) == verdict

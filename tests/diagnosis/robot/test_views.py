@@ -8,7 +8,6 @@ import pytest
 from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.structure import structure
 from softarm.diagnosis.robot.candidates import candidates
-from softarm.diagnosis.robot.counts import TOLERANCE
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import ON_MOTOR, robot_views
 from softarm.schemas.model import Model
@@ -166,14 +165,6 @@ def test_a_start_that_was_seen_wrong_shows_in_its_own_trial(views):
     directions = views["arm"].start_directions()
     assert directions.shape == (10, *views["arm"].measured.shape)
     assert (np.nanmax(np.abs(directions), axis=(1, 2)) > 5e-4).all()
-
-
-def test_a_counted_effect_is_not_fitted(views):
-    """Effects that are read off stamps act in no view: they would be counted twice."""
-    declared = frozenset().union(*(view.acts for view in views.values()))
-    counted = {f"{name}.{p.name}" for name in TOLERANCE for p in REGISTRY[name].parameters}
-    assert counted
-    assert not declared & counted
 
 
 def test_the_rail_is_looked_at_by_end_and_by_direction(views):
