@@ -1,17 +1,45 @@
-"""A view of one channel for tests of the engine, whose law is one line."""
+"""A view of one channel for tests of the engine, whose law is one line, and effects with one parameter."""
+
+from types import SimpleNamespace
 
 import numpy as np
 
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+
 
 class Gauge:
-    """Base of a view; a subclass sets `acts`, `t_s`, `trial`, `floor` and `measured`, and defines `_predict`."""
+    """Base of a view; a subclass sets `acts` and the stamps and measurements, and defines `_predict`."""
 
     stage, unit, channels = "stage", "-", ("reading",)
     regimes, features, own_nuisances, echoes = {}, {}, {}, frozenset()
     noise = np.zeros(1)
+
+    def _stamp(self, trials, rate_hz, length_s):
+        """Set the stamps of trials of one length, s; return those of one trial."""
+        t = np.arange(round(rate_hz * length_s)) / rate_hz
+        self.t_s, self.trial = np.tile(t, trials), np.repeat(np.arange(trials), len(t))
+        return t
+
+    def _measure(self, truth, noise, seed=0):
+        """Set the measurements of a gauge with these parameters, under noise as large as its floor."""
+        self.floor = np.array([noise])
+        self.measured = (self._predict(truth) + noise * np.random.default_rng(seed).normal(size=len(self.t_s)))[:, None]
 
     def start_directions(self):
         return None
 
     def gap(self, points):
         return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
+
+
+def candidate(path, low, high, size, *starts, nominal=0.0, **more):
+    """Return an effect with one parameter, absent at nominal."""
+    parameter = FittedParameter(path, "-", nominal, low, high, size, nominal, **more)
+    return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
+
+
+def channel(trials, length, step_s=1 / 60, **more):
+    """Return the part of a view that tests of residuals need: trials of one length and a floor of one."""
+    number = np.arange(trials * length)
+    stamps = step_s * (number % length)
+    return SimpleNamespace(channels=("state",), floor=np.ones(1), trial=number // length, t_s=stamps, **more)

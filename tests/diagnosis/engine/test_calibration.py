@@ -26,12 +26,9 @@ class _Gauge(Gauge):
     acts = frozenset({SCALE, BIAS, SLOPE})
 
     def __post_init__(self):
-        t = np.arange(round(self.rate_hz * LENGTH_S)) / self.rate_hz
+        t = self._stamp(3, self.rate_hz, LENGTH_S)
         self.inputs = np.concatenate((np.sin(2 * t), np.sign(np.sin(3 * t)), np.exp(-t)))
-        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), len(t))
-        self.floor = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
-        self.measured = (self._predict(self.truth) + noise)[:, None]
+        self._measure(self.truth, NOISE, self.seed)
 
     def _predict(self, point):
         at = NOMINAL | dict(point)

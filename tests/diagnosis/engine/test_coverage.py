@@ -7,17 +7,17 @@ import pytest
 from scipy.stats import binom
 
 from softarm.diagnosis.engine import structure
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.shrink import interval
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 TRIALS, RATE_HZ, LENGTH_S = 4, 30.0, 12.0
 STEPS = round(RATE_HZ * LENGTH_S)
 SAMPLES = TRIALS * STEPS
 T = (np.arange(SAMPLES) % STEPS) / RATE_HZ
 SCALE, BIAS = "stage.gain.scale", "stage.zero.bias"
-GAIN = Candidate("stage.gain", "stage", (FittedParameter(SCALE, "-", 0.0, -0.5, 0.5, 0.1, 0.0),), ((0.1,),))
+GAIN = candidate(SCALE, -0.5, 0.5, 0.1, 0.1)
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
 TRUE = {SCALE: 0.2, BIAS: 0.1}
 

@@ -6,20 +6,15 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine import equal_sets
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 12.0, 0.02
 # Every effect is a mixture of the same two signals, except the last, which is another signal.
 MIXTURES = {"slow": (1, 0, 0), "fast": (0, 1, 0), "sum": (1, 0.6, 0), "difference": (1, -0.6, 0), "other": (0, 0, 1)}
-
-
-def _candidate(name):
-    parameter = FittedParameter(f"stage.{name}.size", "-", 0.0, -4.0, 4.0, 0.2, 0.0)
-    return Candidate(f"stage.{name}", "stage", (parameter,), ((0.2,), (-0.2,)))
 
 
 @dataclass
@@ -30,12 +25,10 @@ class _View(Gauge):
     acts = frozenset(f"stage.{name}.size" for name in MIXTURES)
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
-        self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
+        self._stamp(2, RATE_HZ, LENGTH_S)
         self.signals = np.sin(np.outer([3.0, 11.0, 7.0], self.t_s))
-        self.floor = self.noise = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
-        self.measured = (np.array([*self.truth, 0.0]) @ self.signals + noise)[:, None]
+        self._measure(dict(zip(("stage.slow.size", "stage.fast.size"), self.truth, strict=True)), NOISE)
+        self.noise = self.floor
 
     def _predict(self, point):
         sizes = np.array([point.get(f"stage.{name}.size", 0.0) for name in MIXTURES])
@@ -48,7 +41,7 @@ def chosen(request):
 
     def made(truth, *names):
         setup = Setup([_View(truth)], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
-        candidates = tuple(map(_candidate, MIXTURES))
+        candidates = tuple(candidate(f"stage.{name}.size", -4.0, 4.0, 0.2, 0.2, -0.2) for name in MIXTURES)
         search = Search(setup.weighed(), setup.plain(), ("stage",), candidates, request.param)
         own = tuple(c for c in candidates if c.name.removeprefix("stage.") in names)
         null_model = search.null_model()

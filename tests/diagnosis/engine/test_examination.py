@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 from softarm.diagnosis.answer.calibration import calibrated
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
@@ -21,8 +21,7 @@ KINDS = ("slow", "fast", "both")
 
 
 def _candidate(path, *starts):
-    parameter = FittedParameter(path, "-", 0.0, -2.0, 2.0, 0.3, 0.0)
-    return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
+    return candidate(path, -2.0, 2.0, 0.3, *starts)
 
 
 @dataclass
@@ -32,14 +31,11 @@ class _View(Gauge):
     acts = frozenset({SWING, LEVEL, BIAS, STOP, TWIN})
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
-        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), len(t))
+        t = self._stamp(3, RATE_HZ, LENGTH_S)
         self.swing = np.concatenate((np.sin(2 * t), np.sin(5 * t), np.sin(2 * t) + np.sin(5 * t)))
         self.level = np.tile(t > LENGTH_S / 3, 3)
         self.features = {"swing": self.swing, "level": self.level.astype(float)}
-        self.floor = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
-        self.measured = (self._predict(TRUTH) + noise)[:, None]
+        self._measure(TRUTH, NOISE)
 
     def _predict(self, point):
         level = point.get(LEVEL, 0.0) * self.level

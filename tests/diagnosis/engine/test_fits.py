@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import COARSE, NUDGE, nudged
 from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")
@@ -20,12 +20,8 @@ SCALE, TIME, BIAS = "stage.gain.scale", "stage.lag.time", "stage.zero.bias"
 TRUE = {SCALE: 0.3, TIME: 0.15, BIAS: 0.2}
 
 
-def _parameter(path, low, high, size, nominal=0.0):
-    return FittedParameter(path, "-", nominal, low, high, size, nominal)
-
-
-GAIN = Candidate("stage.gain", "stage", (_parameter(SCALE, -0.5, 0.5, 0.1),), ((0.1,), (-0.1,)))
-LAG = Candidate("stage.lag", "stage", (_parameter(TIME, 0.0, 1.0, 0.1),), ((0.05,), (0.4,)))
+GAIN = candidate(SCALE, -0.5, 0.5, 0.1, 0.1, -0.1)
+LAG = candidate(TIME, 0.0, 1.0, 0.1, 0.05, 0.4)
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
 UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no column of it is anything but zero
 
@@ -39,14 +35,10 @@ class _View(Gauge):
     acts = frozenset({SCALE, TIME, BIAS})
 
     def __post_init__(self):
-        steps = round(RATE_HZ * LENGTH_S)
-        t = np.arange(steps) / RATE_HZ
+        t = self._stamp(3, RATE_HZ, LENGTH_S)
         waves = (np.sign(np.sin(2.1 * t)), np.sin(2 * np.pi * t * (0.2 + 0.15 * t)), np.exp(-t) * np.cos(5 * t))
         self.inputs = np.stack([1 + wave for wave in waves])
-        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), steps)
-        self.floor = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
-        self.measured = (self._predict(self.truth) + noise)[:, None]
+        self._measure(self.truth, NOISE, self.seed)
 
     def _predict(self, point):
         time_s, seen = point.get(TIME, 0.0), []
@@ -170,7 +162,7 @@ def test_a_nuisance_stays_in_its_box():
 
 
 def test_a_parameter_that_an_effect_fits_is_no_nuisance():
-    own = Candidate("stage.zero", "stage", (_parameter(BIAS, -2.0, 2.0, 0.2),), ((0.2,),))
+    own = candidate(BIAS, -2.0, 2.0, 0.2, 0.2)
     fit = _fit(_problem(_View(truth={BIAS: 0.9})), own)
     assert fit.nuisance[0] == 0.0
     assert fit.point[BIAS] == pytest.approx(0.9, abs=0.02)
@@ -239,7 +231,7 @@ def test_no_interval_ends_at_its_own_estimate():
 
 
 def test_a_similar_effect_replaces_an_effect_that_is_left_out():
-    droop = Candidate("stage.droop", "stage", (_parameter("stage.droop.scale", -0.5, 0.5, 0.1),), ((0.1,),))
+    droop = candidate("stage.droop.scale", -0.5, 0.5, 0.1)
     view = _View(truth=TRUE)
     once = view.gap
     view.gap = lambda points: once([{**p, SCALE: p.get(SCALE, 0.0) + p.get("stage.droop.scale", 0.0)} for p in points])

@@ -1,20 +1,18 @@
 """Hum: a steady line is found with its share of the energy; noise of any colour and short swings have none."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from softarm.diagnosis.engine.hum import hum
+from tests.diagnosis.engine.gauge import channel
 
 TRIALS, LENGTH, STEP_S = 4, 900, 1 / 60
 T = STEP_S * np.arange(TRIALS * LENGTH)
 
 
 def found(residual, length=LENGTH):
-    view = SimpleNamespace(trial=np.arange(len(T)) // length, floor=np.ones(1))
-    return hum(view, residual[:, None])
+    return hum(channel(len(T) // length, length), residual[:, None])
 
 
 def noise(seed, memory=0.0):

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 PACE, LEVEL = "stage.pace.rate", "stage.level.height"
@@ -18,13 +18,8 @@ TRUE_PACE, OTHER_WELL = 0.6, 2.3  # rad/s
 REFITTING = replace(RIG, search=replace(RIG.search, refit=True))
 
 
-def _candidate(path, low, high, size, *starts):
-    parameter = FittedParameter(path, "-", 0.0, low, high, size, 0.0)
-    return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
-
-
-RATE = _candidate(PACE, -4.0, 4.0, 0.3, 0.4, -0.4)
-HEIGHT = _candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
+RATE = candidate(PACE, -4.0, 4.0, 0.3, 0.4, -0.4)
+HEIGHT = candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
 
 
 @dataclass
@@ -35,11 +30,9 @@ class _View(Gauge):
     acts = frozenset({PACE, LEVEL})
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
-        self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
-        self.floor = self.noise = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
-        self.measured = (self._predict({PACE: TRUE_PACE, LEVEL: self.height}) + noise)[:, None]
+        self._stamp(2, RATE_HZ, LENGTH_S)
+        self._measure({PACE: TRUE_PACE, LEVEL: self.height}, NOISE)
+        self.noise = self.floor
 
     def _predict(self, point):
         return np.sin((3.0 + point.get(PACE, 0.0)) * self.t_s) + point.get(LEVEL, 0.0)
@@ -129,13 +122,10 @@ class _Amplifier(Gauge):
     acts = frozenset({"stage.gain.scale", "stage.cubic.strength"})
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
-        self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
+        self._stamp(2, RATE_HZ, LENGTH_S)
         self.inputs = np.sin(2 * self.t_s)
-        self.floor = self.noise = np.array([NOISE])
-        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
-        truth = {"stage.gain.scale": self.gain, "stage.cubic.strength": self.cubic}
-        self.measured = (self._predict(truth) + noise)[:, None]
+        self._measure({"stage.gain.scale": self.gain, "stage.cubic.strength": self.cubic}, NOISE)
+        self.noise = self.floor
 
     def _predict(self, point):
         scale, cubic = point.get("stage.gain.scale", 1.0), point.get("stage.cubic.strength", 0.0)
@@ -153,10 +143,9 @@ class _Amplifier(Gauge):
     ],
 )
 def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains_more(law, tolerance, names):
-    own = FittedParameter("stage.gain.scale", "-", 1.0, 0.2, 3.0, 0.3, 1.0, tolerance=0.2)
-    new = FittedParameter("stage.cubic.strength", "-", 0.0, -1.0, 1.0, 0.3, 0.0, tolerance=tolerance)
-    known = [Candidate("stage.gain", "stage", (own,), ((1.3,), (0.7,)), constant=True)]
-    known.append(Candidate("stage.cubic", "stage", (new,), ((0.2,), (-0.2,))))
+    own = candidate("stage.gain.scale", 0.2, 3.0, 0.3, 1.3, 0.7, nominal=1.0, tolerance=0.2)
+    new = candidate("stage.cubic.strength", -1.0, 1.0, 0.3, 0.2, -0.2, tolerance=tolerance)
+    known = [replace(own, constant=True), new]
     setup = Setup([_Amplifier(**law)], (Nuisance("stage.gain.scale", 1.0, 0.97, 1.03),), ("sine", "other"))
     search = Search(setup.weighed(), setup.plain(), ("stage",), known, ROBOT)
     assert search.run(lambda what, share: None).chosen.names == names

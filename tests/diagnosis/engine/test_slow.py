@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 20.0, 12.0, 0.05
 GAIN, BIAS = "stage.gain.scale", "stage.zero.bias"
@@ -33,11 +33,10 @@ class _View(Gauge):
     acts = frozenset({GAIN, BIAS})
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        t = self._stamp(TRIALS, RATE_HZ, LENGTH_S)
         shapes = {"sine": np.sin(2 * t), "square": np.sign(np.sin(t)), "decay": np.cos(3 * t) * np.exp(-t / 9)}
         shapes["both"] = shapes["sine"] + shapes["square"]
         self.inputs = np.concatenate([shapes[kind] for kind in KINDS])
-        self.t_s, self.trial = np.tile(t, TRIALS), np.repeat(np.arange(TRIALS), len(t))
         self.floor, self.features = np.array([NOISE]), {"input": self.inputs}
         noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
         slow = self.within * (self.t_s / LENGTH_S - 0.5) + self.over * (self.trial / (TRIALS - 1) - 0.5)
@@ -51,8 +50,7 @@ class _View(Gauge):
 
 def examined(thresholds=ROBOT, **view):
     setup = Setup([_View(**view)], (Nuisance(GAIN, 1.0, 0.95, 1.05), Nuisance(BIAS, 0.0, -0.1, 0.1)), KINDS)
-    parameter = FittedParameter(GAIN, "-", 1.0, 0.2, 3.0, 0.3, 1.0, tolerance=0.1)
-    known = [Candidate("stage.gain", "stage", (parameter,), ((1.3,), (0.7,)))]
+    known = [candidate(GAIN, 0.2, 3.0, 0.3, 1.3, 0.7, nominal=1.0, tolerance=0.1)]
     return Examination(setup, known, KINDS, thresholds, lambda what, share: None)
 
 

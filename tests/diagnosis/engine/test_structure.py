@@ -1,32 +1,22 @@
 """Is what is left noise? Rarely found in noise, found wherever something is missing."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.structure import structure
+from tests.diagnosis.engine.gauge import channel
 
 TRIALS, LENGTH, STEP_S = 4, 900, 1 / 60
 SAMPLES = TRIALS * LENGTH
 T = STEP_S * (np.arange(SAMPLES) % LENGTH)
 
 
-@dataclass
-class _View:
-    floor: np.ndarray = field(default_factory=lambda: np.ones(1))
-    channels = ("state",)
-
-    def __post_init__(self):
-        self.t_s, self.trial = T, np.arange(SAMPLES) // LENGTH
-        self.regimes = {"moving": np.sin(T) > 0.8, "rare": np.arange(SAMPLES) < 30}
-
-
+REGIMES = {"moving": np.sin(T) > 0.8, "rare": np.arange(SAMPLES) < 30}
 KINDS = ("steps", "steps", "chirp", "chirp")
 
 
 def _look(residual):
-    return structure(_View(), residual[:, None], KINDS)
+    return structure(channel(TRIALS, LENGTH, regimes=REGIMES), residual[:, None], KINDS)
 
 
 def _noise(seed):

@@ -1,7 +1,5 @@
 """Tests of the noise floors on given trials, with tolerated deviations and drift."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
@@ -10,22 +8,9 @@ from softarm.diagnosis.robot.floors import DRIFT_FLOOR_M_S, drift, slow
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import with_joints
 from softarm.schemas.model import Model
+from tests.diagnosis.engine.gauge import channel
 
-LENGTH, STEP_S = 900, 1 / 60
-
-
-@dataclass
-class _Rail:
-    """A view as far as drift looks at it: four trials of 15 s."""
-
-    trial: np.ndarray = field(default_factory=lambda: np.repeat(np.arange(4), LENGTH))
-
-    @property
-    def t_s(self):
-        return STEP_S * (np.arange(len(self.trial)) % LENGTH)
-
-
-VIEW = _Rail()
+VIEW = channel(4, 900)
 NOISE = 0.02 * np.random.default_rng(1).normal(size=(len(VIEW.trial), 1))
 PULLED = np.where((VIEW.t_s > 5)[:, None], -0.010, 0.0)  # half its floor: 10 cm in the ten seconds that are left
 
