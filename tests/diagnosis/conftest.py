@@ -35,24 +35,30 @@ def _record(excitation: str, model: Model | None = None, seed: int = 0, noise: f
 @cache
 def _recorded(excitation: str, model: str, seed: int, noise: float) -> Trial:
     """A trial at 1200 Hz physics: mocap at 120 Hz, commands, regulator and rail at 60 Hz."""
-    draw = np.random.default_rng(seed)
-    plan = EXCITATIONS[excitation]
-    robot = Simulator(Model.model_validate_json(model), physics_rate_hz=1200.0)
+    robot, plan = Simulator(Model.model_validate_json(model), physics_rate_hz=1200.0), EXCITATIONS[excitation]
     for _ in range(90):  # hang still before the recording
         robot.step(0.0, 0.0, 1 / 30)
+    return _flight(excitation, robot, plan.duration_s + 0.5, seed, noise)
+
+
+def _flight(
+    kind: str, robot: Simulator, length_s: float, seed: int, noise: float = 1.0, from_s: float = 0.0, ticks: int = 1
+) -> Trial:
+    """Fly an excitation from a second on: mocap at 120 Hz, readings at 60 Hz, a command every `ticks` readings."""
+    draw, plan = np.random.default_rng(seed), EXCITATIONS[kind]
     frames, slow = [], []
-    for k in range(round((plan.duration_s + 0.5) * MOCAP_HZ)):
+    for k in range(round(length_s * MOCAP_HZ)):
         t = k / MOCAP_HZ
         frames.append((t, t + MOCAP_LATE_S, *_poses(robot, draw, noise).ravel()))
+        command = plan.at(from_s + 2 * ticks * (k // (2 * ticks)) / MOCAP_HZ)
         if k % 2 == 0:
-            command = plan.at(t)
-            reading = robot.pressure_kpa[0] + noise * draw.normal() * PRESSURE_NOISE_KPA
+            reading = robot.pressure_reading_kpa[0] + noise * draw.normal() * PRESSURE_NOISE_KPA
             slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
         robot.step(*command, 1 / MOCAP_HZ)
-    return _trial(excitation, frames, slow)
+    return _trial(kind, frames, slow, ticks)
 
 
-def _poses(robot: Simulator, draw: np.random.Generator, noise: float = 1.0) -> np.ndarray:
+def _poses(robot: Simulator, draw: np.random.Generator, noise: float) -> np.ndarray:
     """Return the noisy poses of cart and links: y, z and angle of each."""
     bodies = [(robot.cart_position_m[0], robot.model.arm.base_height_m, 0.0)]
     bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
@@ -60,7 +66,7 @@ def _poses(robot: Simulator, draw: np.random.Generator, noise: float = 1.0) -> n
     return np.array(bodies, dtype=float) + errors
 
 
-def _trial(name: str, frames: list[tuple[float, ...]], slow: list[tuple[float, ...]], rows_a_command: int = 1) -> Trial:
+def _trial(name: str, frames: list[tuple[float, ...]], slow: list[tuple[float, ...]], rows_a_command: int) -> Trial:
     """Return a trial of frames (capture, reception, poses) and rows (stamp, commands, pressure, position, velocity)."""
     bodies = ("cart", *(f"link{i}" for i in range(1, 6)))
     mocap = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
@@ -89,7 +95,7 @@ def _write(trial: Trial, folder: Path) -> Path:
 
 # Excitation -> from which second of it on; 5 s of each make a campaign that is diagnosed in seconds.
 CAMPAIGN = {"pressure-multisine": 0.0, "both": 1.0, "rail-steps": 9.5, "rail-multisine": 1.7}
-LENGTH_S, FRAME_S, MOCAP_LATE_S, FRAMES_A_TICK = 5.0, 1 / 120, 0.004, 4
+LENGTH_S, MOCAP_LATE_S, FRAMES_A_TICK = 5.0, 0.004, 4
 
 
 @cache
@@ -103,22 +109,12 @@ def _campaign(
 
 
 def _fly(kind: str, model: Model, seed: int) -> Trial:
-    """Mocap at 120 Hz, readings at 60 Hz, ticks at 30 Hz whose velocities are differences over a tick."""
-    draw, plan = np.random.default_rng(seed), EXCITATIONS[kind]
-    from_s = CAMPAIGN.get(kind, 0.0)
+    """A trial with ticks at 30 Hz whose velocities are differences over a tick."""
+    from_s, plan = CAMPAIGN.get(kind, 0.0), EXCITATIONS[kind]
     robot = Simulator(model, physics_rate_hz=720.0)
     for _ in range(60):  # hang still before the recording
         robot.step(*plan.at(from_s), 1 / 30)
-    frames, slow = [], []
-    for k in range(round(LENGTH_S / FRAME_S)):
-        t = k * FRAME_S
-        frames.append((t, t + MOCAP_LATE_S, *_poses(robot, draw).ravel()))
-        command = plan.at(from_s + FRAMES_A_TICK * FRAME_S * (k // FRAMES_A_TICK))
-        if k % 2 == 0:
-            reading = robot.pressure_reading_kpa[0] + draw.normal() * PRESSURE_NOISE_KPA
-            slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
-        robot.step(*command, FRAME_S)
-    trial = _trial(kind, frames, slow, FRAMES_A_TICK // 2)
+    trial = _flight(kind, robot, LENGTH_S, seed, from_s=from_s, ticks=FRAMES_A_TICK // 2)
     ticks = trial.channels["command"].t_s[2:]
     return replace(trial, channels={**trial.channels, "observation": _observation(trial.channels["mocap"], ticks)})
 
