@@ -1,7 +1,6 @@
 """Diagnosis of trials of the robot or of a rig."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from threadpoolctl import threadpool_limits
 
@@ -41,7 +40,10 @@ def diagnose(
     if tables and len(tables) < len(trials):
         raise TrialError(f"{tables[0].source}: tables of a rig and recordings of the robot; diagnose them separately")
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
-    with _one_thread():
+    import sklearn  # noqa: F401  # the limit only holds for loaded libraries
+
+    # With small matrices, BLAS and the boosted trees take twenty times the work on several threads.
+    with threadpool_limits(1):
         if tables:
             # The laws of rigs are compiled on import.
             from softarm.diagnosis.rigs.diagnose import diagnose_table
@@ -49,12 +51,3 @@ def diagnose(
 
             return in_owners_units(diagnose_table(ordered, progress, processes, budget_s), ordered)
         return diagnose_robot(ordered, model or Model(), progress)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Limit BLAS and the boosted trees to one thread; with small matrices, several take twenty times the work."""
-    import sklearn  # noqa: F401  # the limit only holds for loaded libraries
-
-    with threadpool_limits(1):
-        yield

@@ -41,7 +41,7 @@ def _examined(trials):
     kinds, model = [trial.kind for trial in trials], Model()
     setup = Setup(robot_views(on_grid(trials, model), model), nuisances(model), kinds)
     known = [each for each in candidates(model) if each.name in TWO]
-    return Examination(setup, known, kinds, ROBOT, lambda what, share: None)
+    return Examination(setup, known, ROBOT, lambda what, share: None)
 
 
 @pytest.mark.prove

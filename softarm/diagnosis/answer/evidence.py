@@ -28,15 +28,9 @@ def overlays(
     calibrated: Gap | None,
     channels: Sequence[int] | None = None,
 ) -> tuple[Overlay, ...]:
-    """Return measured, nominal, patched and calibrated signals of every trial.
+    """Return measured, nominal, patched and calibrated signals of every trial, by default of all channels.
 
-    Args:
-        view: stage to show.
-        trials: trials of the view.
-        before: gap of the nominal model.
-        after: the same with the named effects, or None without any.
-        calibrated: the same with the calibration as well, or None without it.
-        channels: indices of the channels to show; by default all.
+    The gaps are those of the nominal model, with the named effects, and with the calibration as well; None for none.
     """
     found = []
     for k, trial in enumerate(trials):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.jackknife import RIDGE, half_width
+from softarm.diagnosis.engine.jackknife import RIDGE, covariance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Array
 
@@ -62,7 +62,8 @@ class _Linear:
         normal, slope = self.normal[:, both][:, :, both], self.slope[:, both]
         total = normal.sum(axis=0)
         total[range(len(both)), range(len(both))] += RIDGE * max(float(total.diagonal().max()), 1e-30)
-        return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))[len(self.effects) :]
+        spread = covariance(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
+        return np.asarray(np.sqrt(spread.diagonal()[len(self.effects) :]))
 
 
 def calibrate(problem: FitProblem, fit: Fit, among: Collection[int] | None = None) -> Calibration:

@@ -36,7 +36,6 @@ class Examination:
         self,
         setup: Setup,
         candidates: Sequence[Candidate],
-        kinds: Sequence[str],
         t: Thresholds,
         progress: Progress,
         widened: Widening = lambda fit, low, high: (low, high),
@@ -46,12 +45,11 @@ class Examination:
         Args:
             setup: problem of the views.
             candidates: effects that may be the cause.
-            kinds: excitation of each trial of the views.
             t: thresholds of the system.
             progress: called with the current step and the finished share, 0 to 1.
             widened: adds the uncertainty of the laws to the interval of a fit's parameters, low and high, [p] each.
         """
-        self.setup, self.thresholds, self._kinds, self._widened = setup, t, tuple(kinds), widened
+        self.setup, self.thresholds, self._widened = setup, t, widened
         self._intervals: dict[tuple[tuple[str, ...], Coordinates], tuple[Array, Array]] = {}
         self.stages = tuple(view.stage for view in setup.views)
         self.plain = setup.plain()
@@ -120,7 +118,7 @@ class Examination:
     def structures(self) -> dict[str, Structure]:
         """Return the structure of each stage's residual."""
         return {
-            view.stage: structure(view, self.residuals[view.stage], self._kinds, self.setup.block_s)
+            view.stage: structure(view, self.residuals[view.stage], self.setup.kinds, self.setup.block_s)
             for view in self.setup.views
         }
 

@@ -225,11 +225,8 @@ class FitProblem:
         self, effects: EffectSet, x: Array, jacobians: list[Rows], bases: list[Moments]
     ) -> tuple[Array, Array]:
         """Return normal matrix and slope of effects and nuisances, with the prior."""
-        p = len(x)
-        normal, slope = self._normal(p, jacobians, bases)
-        held, pull = _prior(effects, x)
-        normal[range(p), range(p)] += held
-        slope[:p] += pull
+        normal, slope = self._normal(len(x), jacobians, bases)
+        _add_prior(effects, x, normal, slope)
         return normal, slope
 
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
@@ -259,9 +256,7 @@ class FitProblem:
         normal, slope, squares = self._by_block(len(x), jacobians, bases)
         low, high = self._box(effects, x)
         total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
-        held, pull = _prior(effects, x)
-        total_normal[range(len(x)), range(len(x))] += held
-        total_slope[: len(x)] += pull
+        _add_prior(effects, x, total_normal, total_slope)
         best = box.solve(total_normal, -total_slope, low, high)
         lost, folds = np.empty(len(squares)), []
         for fold in np.unique(self.fold):
@@ -283,7 +278,7 @@ class FitProblem:
             effects,
             split(effects, x),
             nuisance,
-            loss - float(pull @ (pull / held)),  # without the prior
+            loss - _cost(effects, x),  # without the prior
             lost,
             np.array(folds),
             np.array(halves),
@@ -407,6 +402,12 @@ def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:
     parameters = parameters_of(effects)
     held = np.array([PRIOR / d.size**2 for d in parameters])
     return held, held * (x - np.array([d.nominal for d in parameters]))
+
+
+def _add_prior(effects: EffectSet, x: Array, normal: Array, slope: Array) -> None:
+    held, pull = _prior(effects, x)
+    normal[range(len(x)), range(len(x))] += held
+    slope[: len(x)] += pull
 
 
 def _cost(effects: EffectSet, x: Array) -> float:

@@ -12,11 +12,6 @@ from softarm.diagnosis.engine.view import Array
 RIDGE = 1e-10  # of the largest diagonal entry; an invisible parameter gets no error instead of an infinite one
 
 
-def half_width(normal: Array, slope: Array, solution: Array) -> Array:
-    """Return half the 95 % interval of each unknown, [k]; arguments as for `covariance`."""
-    return np.asarray(np.sqrt(covariance(normal, slope, solution).diagonal()))
-
-
 def covariance(normal: Array, slope: Array, solution: Array) -> Array:
     """Return the covariance of the unknowns, [k, k], times the square of Student's t for 95 %.
 

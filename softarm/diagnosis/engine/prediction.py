@@ -2,15 +2,12 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, joined, parameters_of, split
-
-if TYPE_CHECKING:
-    from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.fits import Fit, FitProblem
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +22,7 @@ class PredictedSet:
 class Prediction:
     """Linear model of a fit with further effects at their nominal values."""
 
-    def __init__(self, problem: "FitProblem", fit: "Fit", options: Sequence[Candidate] = ()) -> None:
+    def __init__(self, problem: FitProblem, fit: Fit, options: Sequence[Candidate] = ()) -> None:
         """Simulate the sensitivities at a fit; options: further effects that a set may hold."""
         self._problem, self.effects = problem, (*fit.effects, *options)
         u = (*fit.u, *(tuple(d.nominal for d in each.parameters) for each in options))

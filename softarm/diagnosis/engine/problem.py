@@ -47,7 +47,7 @@ class Setup:
             block_s: length of a block that counts as independent, in the views' own time.
         """
         self.block_s = block_s
-        self.views, self.nuisances = tuple(views), tuple(nuisances)
+        self.views, self.nuisances, self.kinds = tuple(views), tuple(nuisances), tuple(kinds)
         self.gaps = tuple(Gaps(view) for view in views)
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
         self.directions = tuple(self._directions(g) for g in self.gaps)

@@ -195,9 +195,7 @@ class Search:
     def is_nameable(self, fit: Fit, gain: Gain | None = None) -> bool:
         """Return whether a set's effects may be named: large enough, and none at a bound.
 
-        Args:
-            fit: fitted set.
-            gain: gain of the set's last effect, which must be resolved if the effect is within its tolerance.
+        The gain of the last effect must be resolved if the effect is within its tolerance.
         """
         last_exceeds = fit.effects[-1].exceeds_tolerance(fit.u[-1])
         resolved = gain is None or last_exceeds or gain.value > self.thresholds.gain.resolved_min

@@ -30,14 +30,7 @@ class Structure:
 def structure(
     view: View, residual: NDArray[np.floating], kinds: Sequence[str] = (), block_s: float = BLOCK_S
 ) -> Structure:
-    """Test a residual [M, S] of a view in every part of the data.
-
-    Args:
-        view: stage of the residual.
-        residual: measured minus simulated.
-        kinds: excitation of each trial of the view.
-        block_s: length of a block that counts as independent.
-    """
+    """Test a residual [M, S] of a view in every part of the data; kinds: excitation of each trial."""
     scaled = np.asarray(residual, dtype=float) / view.floor
     places = dict(_places(view, kinds))
     found = [(name, *sign) for name, mask in places.items() for sign in _looks(view, scaled, mask, block_s)]

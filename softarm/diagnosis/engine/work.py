@@ -38,13 +38,7 @@ class Work:
         self._text = ""
 
     def begin(self, text: str, rollouts: float, further: float) -> None:
-        """Begin a step, which finishes the one before.
-
-        Args:
-            text: step in words.
-            rollouts: planned rollouts of the step.
-            further: planned rollouts after it.
-        """
+        """Begin a step, which finishes the one before; `rollouts` are planned for it and `further` ones after it."""
         self._done += self._step
         self._text, self._step, self._counted, self._left = text, rollouts, 0.0, further
         self.count(0)

@@ -47,7 +47,7 @@ def result(diagnosis: Diagnosis) -> Html:
     named = diagnosis.verdict.effects
     causes = [_card(diagnosis, effect) for effect in named] if len(named) <= LISTED_MAX else []
     lead = [equal_sets(diagnosis), calibration_in_words(diagnosis)] if causes else answer(diagnosis)
-    shown = kind + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
+    shown = kind + (", not separable" if named and all(effect.equivalents for effect in named) else "")
     chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS[kind]), class_="chip")
     title = el("h1", prose(headline(diagnosis)))
     cards = el("div", *causes, class_="cards") if causes else Html("")
@@ -72,11 +72,6 @@ def _card(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
         *(el("p", fact, class_="soft" if i != 1 else None) for i, fact in enumerate(facts) if fact),
         class_="card",
     )
-
-
-def _sets(diagnosis: Diagnosis) -> bool:
-    """Return whether every answer is a set of indistinguishable effects."""
-    return bool(diagnosis.verdict.effects) and all(effect.equivalents for effect in diagnosis.verdict.effects)
 
 
 def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
@@ -158,8 +153,8 @@ def _expected(plan: NextExperiment) -> Html:
     return table(("if the cause is", "expected result"), rows, "Expected result of the experiment by cause")
 
 
-def _commands(of: Excitation, samples: int = 600) -> Html:
-    t = np.linspace(0.0, of.duration_s, samples)
+def _commands(of: Excitation) -> Html:
+    t = np.linspace(0.0, of.duration_s, 600)
     velocity, pressure = np.array([of.at(float(s)) for s in t]).T
     curves = {"pressure (kPa)": pressure} if of.pressure_kpa else {}
     curves |= {"cart (m/s)": velocity} if of.moves_rail else {}

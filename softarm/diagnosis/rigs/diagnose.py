@@ -187,7 +187,7 @@ def examine(
     setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
     thresholds = WINDOWED if view.fits_starts and len(set(origins)) >= TRIALS_LEAST else RIG
     thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
-    found = Examination(setup, candidates(view), kinds, thresholds, report, partial(widened, view))
+    found = Examination(setup, candidates(view), thresholds, report, partial(widened, view))
     finding = _Stage(view, ordered, origins, found).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))
 

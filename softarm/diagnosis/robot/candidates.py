@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance, starts
 from softarm.diagnosis.robot.views import ABOUT_RAIL, ON_MOTOR
 from softarm.schemas.model import Model
-from softarm.simulator.effects import REGISTRY, Parameter, value
+from softarm.simulator.effects import REGISTRY, Parameter, find, value
 
 # Half widths of the boxes: absolute in the registry's unit, or relative to the nominal value.
 _ABSOLUTE = {
@@ -83,9 +83,8 @@ def nuisances(model: Model) -> tuple[Nuisance, ...]:
     """Return the parameters that are fitted within their boxes in every fit."""
     found = []
     for path, half in (_ABSOLUTE | _RELATIVE).items():
-        effect, _, name = path.rpartition(".")
-        parameter = next(p for p in REGISTRY[effect].parameters if p.name == name)
-        nominal = value(model, effect, name)
+        effect, parameter = find(path)
+        nominal = value(model, effect.name, parameter.name)
         if not math.isfinite(nominal) or (path in _RELATIVE and nominal == parameter.neutral):
             continue
         width = half * abs(nominal) if path in _RELATIVE else half

@@ -34,11 +34,6 @@ class Comparison:
     tips: Cache[Gap]
 
     @property
-    def kinds(self) -> list[str]:
-        """Return the excitation of each trial."""
-        return [trial.kind for trial in self.trials]
-
-    @property
     def stages(self) -> tuple[str, ...]:
         """Return the stages that the trials show."""
         return tuple(view.stage for view in self.views)

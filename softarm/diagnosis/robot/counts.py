@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.schemas.model import Model
-from softarm.simulator.effects import REGISTRY, value
+from softarm.simulator.effects import REGISTRY, find, value
 
 # Values of a well-kept robot; a smaller effect is not named.
 TOLERANCE = {
@@ -39,14 +39,14 @@ class Count:
     name: str
     parameter: str  # empty for an effect that is on or off
     unit: str
-    nominal: float
-    value: float  # pooled
-    low: float  # 95 % interval over trials, Student's t
-    high: float
     before: float  # RMS error of the nominal model over trials
     after: float  # RMS error of the other trials' estimate
     floor: float
     named: bool
+    nominal: float = 0.0
+    value: float = 0.0  # pooled
+    low: float = 0.0  # 95 % interval over trials, Student's t
+    high: float = 0.0
     present: bool = True  # False: the model has it and the robot does not
 
     @property
@@ -89,12 +89,12 @@ def _pooled(name: str, parameter: str, model: Model, values: Array, events: floa
     before = float(np.sqrt(np.mean((values - nominal) ** 2)))
     after = float(np.sqrt(np.mean((values - others) ** 2)))
     named = abs(pooled - nominal) > floor and events >= FEW and after < 0.7 * before
-    about, low = next(p for p in REGISTRY[name].parameters if p.name == parameter), pooled - half
+    about, low = find(f"{name}.{parameter}")[1], pooled - half
     if name == "mocap.noise":
         named = named and pooled > 1.8 * nominal
     else:
         low = max(about.low, low)
-    return Count(name, parameter, about.unit, nominal, pooled, low, pooled + half, before, after, floor, named)
+    return Count(name, parameter, about.unit, before, after, floor, named, nominal, pooled, low, pooled + half)
 
 
 def _grid(t: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -183,20 +183,8 @@ def _velocities(trials: Sequence[Trial], model: Model) -> Count | None:
     differenced, true = np.sqrt((errors**2).mean(axis=0))
     before, after = (differenced, true) if modelled else (true, differenced)
     named = after < VELOCITY_RATIO_MAX * before and before > VELOCITY_FLOOR_M_S
-    return Count(
-        name,
-        "",
-        "m/s",
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        float(before),
-        float(min(after, before)),
-        VELOCITY_FLOOR_M_S,
-        bool(named),
-        present=not modelled,
-    )
+    left = float(min(after, before))
+    return Count(name, "", "m/s", float(before), left, VELOCITY_FLOOR_M_S, bool(named), present=not modelled)
 
 
 def _velocity_errors(trial: Trial) -> tuple[float, float] | None:

@@ -51,7 +51,6 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
     found = Examination(
         comparison.setup,
         candidates(comparison.model),
-        comparison.kinds,
         NEXT_TO_ANOTHER if named else ROBOT,
         lambda what, done: progress(what, 0.12 + 0.63 * done),
     )
@@ -218,7 +217,7 @@ def _next(comparison: Comparison, found: Examination, decision: Decision) -> Nex
     """Return a flight that separates a set, a note that none does, or a repeat of the worst trial."""
     asked = None
     for explanations in _explanations(found, decision):
-        plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.kinds)
+        plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.setup.kinds)
         if plan.expect:
             return plan
         asked = asked or plan
@@ -259,7 +258,7 @@ def _warnings(comparison: Comparison, choice: Choice, decision: Decision) -> lis
         found.append(f"the drive behaves like a servo, and the model has none: {SERVO} is added to both models")
     for trial in comparison.trials:
         found += [f"{trial.name}: {text}" for text in trial.not_observable.values()]
-    if len(set(comparison.kinds)) < KINDS_LEAST:
+    if len(set(comparison.setup.kinds)) < KINDS_LEAST:
         found.append(
             "fewer than three kinds of excitation: wrong effects may fit as well; record more (softarm excite)"
         )

@@ -53,10 +53,7 @@ def tip_gap_with(grid: TrialGrid, model: Model, nuisances: Mapping[str, float], 
 def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating]) -> Structure | None:
     """Return the slow part of the rail's velocity residual, or None if it is within its floor.
 
-    Args:
-        view: view of the rail.
-        before: residual without the chosen effects, m/s, [M, 1].
-        after: residual with them.
+    The residuals are without and with the chosen effects, m/s, [M, 1].
     """
     first, last = (slow(view, residual) / DRIFT_FLOOR_M_S for residual in (before, after))
     if last**2 <= max(1.0, ROBOT.gap.structure_share * (first**2 - last**2)):

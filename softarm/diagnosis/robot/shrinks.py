@@ -52,14 +52,8 @@ def effect_shrink(
 ) -> Shrink:
     """Return the shares of its stage's and of the tip's gap that an effect removes next to the other named effects.
 
-    Every trial is judged by parameters that were fitted without its kind of excitation.
-
-    Args:
-        comparison: trials and nominal model.
-        plain: problem in units of the noise floors.
-        effect: named effect.
-        without: fit of the other named effects.
-        named: fit of all named effects.
+    Every trial is judged by parameters that were fitted without its kind of excitation. without: fit of the other named
+    effects; named: fit of all.
     """
     own = {d.path for d in effect.candidate.parameters} | set(effect.candidate.form)
     residual = plain.whitened[comparison.stages.index(_stage_of(effect))]

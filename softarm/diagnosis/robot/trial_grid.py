@@ -33,7 +33,6 @@ class TrialGrid:
     """Grid of K trials over T steps; a shorter trial repeats its last value."""
 
     trials: tuple[Trial, ...]
-    steps: NDArray[np.int64]  # [K] length of each
     t_s: Array  # [T, K] stamps of the grid
     held: Mask  # [K]
     late_s: Array  # [T, K] lateness of the command within the step
@@ -83,7 +82,6 @@ def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
     beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0
     return TrialGrid(
         trials=tuple(trials),
-        steps=steps,
         sample=sample,
         noise_m=float(beyond),
         held=np.array([trial.rail == "held" for trial in trials]),

@@ -75,7 +75,6 @@ def test_a_gap_that_nothing_explains_is_unknown():
 
 
 def test_one_cause_found_and_another_not_is_incomplete():
-    """The regulator's lag explains its stage; the gap of the arm stays unexplained."""
     lag = _named_effect("pressure.lag", pressure=49.0)
     decision = _decide(_choice({"pressure": 50.0, "arm": 50.0}, {"pressure": 1.0, "arm": 50.0}, lag), {"arm": 1.0})
     assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
@@ -132,7 +131,6 @@ def _odd(energy, stage="arm"):
 
 
 def test_structure_in_the_residual_rules_out_none():
-    """Within the floor on the whole, and a drift in it that no noise has."""
     decision = _decide(_choice({"arm": 0.9}, {"arm": 0.9}), {}, _odd(1.5))
     assert (decision.kind, decision.structure) == ("unknown", {"arm": "at reversals, it carries on"})
     # No energy is left to locate it; the report must say so.
@@ -175,7 +173,6 @@ def test_an_effect_at_its_bound_is_not_named():
 
 
 def test_an_effect_without_a_gain_of_its_own_is_not_named():
-    """However large the gap that they take away together."""
     real, idle = _named_effect("arm.stiffness", arm=900.0), _named_effect("arm.damping", arm=0.0)
     idle = dataclasses.replace(idle, gain=_gain(-0.1, arm=0.0))
     choice = _choice({"arm": 1000.0}, {"arm": 3.0}, real, idle)

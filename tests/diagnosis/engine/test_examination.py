@@ -48,7 +48,7 @@ class _View(Gauge):
 def found(request):
     setup = Setup([_View()], (Nuisance(BIAS, 0.0, -0.5, 0.5),), KINDS)
     known = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
-    return Examination(setup, known, KINDS, request.param, lambda what, share: None)
+    return Examination(setup, known, request.param, lambda what, share: None)
 
 
 def _without_level(found):
@@ -76,7 +76,7 @@ class _Healthy(_View):
 @pytest.mark.parametrize(("law", "kind"), [(0.0, "none"), (0.2, "unknown")])
 def test_only_a_residual_that_a_flexible_model_explains_is_unknown(law, kind):
     setup = Setup([_Healthy(law)], (Nuisance(BIAS, 0.0, -0.02, 0.02),), KINDS)
-    found = Examination(setup, (_candidate(STOP, 0.3),), KINDS, RIG, lambda what, share: None)
+    found = Examination(setup, (_candidate(STOP, 0.3),), RIG, lambda what, share: None)
     assert found.choice.energies[1]["stage"] > 20.0
     decision = found.decide()
     assert (decision.kind, decision.noise) == (kind, kind == "none")

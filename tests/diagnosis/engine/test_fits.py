@@ -111,7 +111,6 @@ def test_known_parameters_come_back(both):
 
 
 def test_the_loss_is_that_of_the_noise(both):
-    """Floors are the noise's size here: every sample counts one."""
     samples = len(KINDS) * RATE_HZ * LENGTH_S
     assert both.loss == pytest.approx(samples, rel=0.1)
     assert both.held_out.sum() == pytest.approx(samples, rel=0.15)
@@ -180,7 +179,6 @@ def test_held_out_data_do_not_change_their_own_fit(fold):
 
 
 def test_the_held_out_loss_is_that_of_the_held_out_parameters():
-    """Recomputed from the simulation itself, block after block of a fold."""
     view = _View(truth={SCALE: 0.3})
     problem = _problem(view, (UNSEEN,))
     fit = _fit(problem, GAIN)
@@ -208,7 +206,6 @@ def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear()
 
 
 def test_no_interval_ends_at_its_own_estimate():
-    """Even of a law that fits to the last digit."""
     problem = _problem(_View(truth={SCALE: 0.3}))
     fit = _fit(problem, GAIN)
     low, high = problem.interval(fit)

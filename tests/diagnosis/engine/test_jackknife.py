@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from softarm.diagnosis.engine.jackknife import half_width
+from softarm.diagnosis.engine.jackknife import covariance
 
 
 def _interval(design, y):
@@ -12,7 +12,7 @@ def _interval(design, y):
     normal = np.einsum("bni,bnj->bij", design, design)
     slope = -np.einsum("bni,bn->bi", design, y)
     solution = np.linalg.solve(normal.sum(axis=0), -slope.sum(axis=0))
-    return solution, half_width(normal, slope, solution)
+    return solution, np.sqrt(covariance(normal, slope, solution).diagonal())
 
 
 def test_of_a_mean_it_is_the_textbook_s():
@@ -24,5 +24,5 @@ def test_of_a_mean_it_is_the_textbook_s():
 def test_an_invisible_unknown_has_no_error_and_one_block_has_an_infinite_one():
     design = np.random.default_rng(1).normal(size=(6, 20, 2)) * (1.0, 0.0)
     normal = np.einsum("bni,bnj->bij", design, design)
-    assert half_width(normal, np.zeros((6, 2)), np.zeros(2))[1] == 0.0
-    assert np.isinf(half_width(normal[:1], np.zeros((1, 2)), np.zeros(2))).all()
+    assert covariance(normal, np.zeros((6, 2)), np.zeros(2))[1, 1] == 0.0
+    assert np.isinf(covariance(normal[:1], np.zeros((1, 2)), np.zeros(2)).diagonal()).all()

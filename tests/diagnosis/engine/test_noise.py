@@ -73,7 +73,6 @@ def test_a_residual_far_below_the_floor_is_not_blown_up(coloured):
 
 
 def test_before_anything_is_known_only_sizes_count(coloured):
-    """The floor, or a fifth of the nominal gap where that is more."""
     view = _view(coloured, (1e-9, 1.0))
     gap = scaled(view, coloured)(coloured)
     assert np.sqrt(np.mean(gap[:, 0] ** 2)) == pytest.approx(5.0, rel=1e-4)

@@ -51,7 +51,7 @@ class _View(Gauge):
 def examined(thresholds=ROBOT, **view):
     setup = Setup([_View(**view)], (Nuisance(GAIN, 1.0, 0.95, 1.05), Nuisance(BIAS, 0.0, -0.1, 0.1)), KINDS)
     known = [candidate(GAIN, 0.2, 3.0, 0.3, 1.3, 0.7, nominal=1.0, tolerance=0.1)]
-    return Examination(setup, known, KINDS, thresholds, lambda what, share: None)
+    return Examination(setup, known, thresholds, lambda what, share: None)
 
 
 @pytest.mark.parametrize("thresholds", [ROBOT, RIG], ids=["robot", "rig"])

@@ -94,7 +94,6 @@ def test_another_start_costs_no_more_than_its_prior(view, starts):
 
 
 def test_trials_start_each_on_their_own(view, starts):
-    """One trial started elsewhere: the other's rows are what they were."""
     moved = starts[0].copy()
     moved[SAMPLES[0] :] = 0.0
     rows = _residual(view, starts)._rows(moved[None])[0]

@@ -23,7 +23,6 @@ def _ids(each):
 
 @pytest.mark.parametrize("model", [Model(), BARE], ids=["seed", "bare"])
 def test_every_effect_of_the_robot_is_fitted_or_counted(model):
-    """An effect of the registry without a candidate fails here."""
     wanted = {name for name, effect in REGISTRY.items() if effect.stage in FITTED_STAGES and effect.parameters}
     assert len(wanted) > 25
     fitted = {each.name for each in candidates(model)}
@@ -43,13 +42,8 @@ def test_a_search_starts_within_the_bounds_and_away_from_nominal(candidate):
 
 @pytest.mark.parametrize("candidate", ALL, ids=_ids)
 def test_a_parameter_covers_the_range_of_the_registry(candidate):
-    """At both ends, at every start and beyond the ends."""
-    ends = [tuple(d.low for d in candidate.parameters), tuple(d.high for d in candidate.parameters)]
-    beyond = [
-        tuple(d.low - 5 * d.size for d in candidate.parameters),
-        tuple(d.high + 5 * d.size for d in candidate.parameters),
-    ]
-    for u in (*ends, *beyond, *candidate.starts):
+    ends = (lambda d: d.low, lambda d: d.high, lambda d: d.low - 5 * d.size, lambda d: d.high + 5 * d.size)
+    for u in (*(tuple(map(end, candidate.parameters)) for end in ends), *candidate.starts):
         for path, x in candidate.point(u).items():
             if path not in candidate.form:
                 assert find(path)[1].admits(x), (path, x)
@@ -132,7 +126,6 @@ def test_no_value_lies_between_the_largest_one_and_infinity():
 
 
 def _found(path):
-    """The candidate that has a parameter, and the parameter."""
     return next((c, d) for c in ALL for d in c.parameters if d.path == SAME_SIZE[path])
 
 
@@ -177,7 +170,6 @@ def good_robots():
 
 @pytest.mark.parametrize("name", BODY)
 def test_good_robots_are_within_the_tolerance(name, good_robots):
-    """One robot in two hundred at the most, where all of its joints are known."""
     candidate, fitted = _found(BODY[name])
     usual = getattr(RobotParameters().body, name)
     scales = [float(np.mean(np.array(getattr(robot.body, name)) / usual)) - 1 for robot in good_robots]

@@ -64,7 +64,6 @@ def test_when_nothing_is_wrong_nothing_is_named(diagnosed):
 # Over 3 s: each is a whole diagnosis, made once for all tests below.
 @pytest.mark.parametrize("out", [*ONE_AT_A_TIME, PAIR, *OTHER_PAIRS], ids="+".join)
 def test_only_the_missing_effect_of_the_seed_is_named(out, diagnosed):
-    """The paper's four effects, one at a time and in pairs."""
     verdict = diagnosed(out).verdict
     assert _names(diagnosed(out)) == sorted(out)
     assert verdict.verdict == "named"

