@@ -52,10 +52,8 @@ def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:
         view = comparison.views[comparison.stages.index("rail")]
         drifting = drift(view, found.null_residuals["rail"], found.residuals["rail"])
         signs |= {"rail": drifting} if drifting else {}
-    if (loose := loose_marker(comparison.trials, comparison.grid.links)) is not None:
-        where = f"the markers of link {loose.link} move {1e3 * loose.rms_m:.1f} mm relative to the link"
-        signs["mocap"] = Structure(loose.energy, where)
-    return signs
+    loose = loose_marker(comparison.trials, comparison.grid.links)
+    return signs | ({"mocap": loose} if loose else {})
 
 
 def _above_floors(comparison: Comparison, floors: Mapping[str, float], tip_floor: float | None) -> dict[str, Structure]:

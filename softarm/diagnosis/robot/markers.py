@@ -5,12 +5,11 @@ does the next link in the opposite direction.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from softarm.diagnosis.data.trials import Series, Trial
-from softarm.diagnosis.engine.structure import LEVEL, over_blocks
+from softarm.diagnosis.engine.structure import LEVEL, Structure, over_blocks
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S
 
@@ -19,16 +18,7 @@ from softarm.diagnosis.engine.whitened import BLOCK_S
 FLOOR_M = 0.00025
 
 
-@dataclass(frozen=True, slots=True)
-class Loose:
-    """Marker set that does not move with its link."""
-
-    link: int  # counted from 1
-    rms_m: float  # of the autocorrelated part
-    energy: float  # the same, mean square over the floor's
-
-
-def loose_marker(trials: Sequence[Trial], links: int) -> Loose | None:
+def loose_marker(trials: Sequence[Trial], links: int) -> Structure | None:
     """Return the marker set that moves most relative to its link, or None within noise or without angles."""
     products = [each for trial in trials if (each := _products(trial.channels.get("mocap"), links)) is not None]
     if not products:
@@ -43,7 +33,8 @@ def loose_marker(trials: Sequence[Trial], links: int) -> Loose | None:
         return None
     # The next link seems to move as much: the first of the two is loose.
     first = worst - 1 if worst and found[worst - 1] > 0.5 * found[worst] else worst
-    return Loose(first + 1, float(np.sqrt(found[worst])), energy)
+    size_mm = 1e3 * float(np.sqrt(found[worst]))
+    return Structure(energy, f"the markers of link {first + 1} move {size_mm:.1f} mm relative to the link")
 
 
 def _products(mocap: Series | None, links: int) -> list[Array] | None:
