@@ -12,11 +12,12 @@ CLEARLY = 1.2  # times the overall RMS
 
 
 def in_words(view: View, gap: Gap) -> str:
-    """Return the regime and the frequency band with the largest gap."""
+    """Return the regime and the frequency band with the largest gap; no band if every trial is too short for one."""
     overall = rms(gap)
     frequency, amplitude = density(view, gap, RATE_HZ)
     powers = [float((amplitude[(frequency >= a) & (frequency < b)] ** 2).sum()) for a, b, _ in BANDS]
     band = BANDS[int(np.argmax(powers))][2] if sum(powers) > 0 else ""
     found = regimes(view, gap, None, LEAST_S) if overall else ()
     largest = max(((each.nominal_rms / overall, each.name) for each in found), default=(0.0, ""))
-    return f"{largest[1] if largest[0] > CLEARLY else 'throughout'}, {band}"
+    regime = largest[1] if largest[0] > CLEARLY else "throughout"
+    return f"{regime}, {band}" if band else regime
