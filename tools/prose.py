@@ -10,6 +10,7 @@ docstrings must start with what the thing does or is. Pages: also the length of 
 import ast
 import io
 import re
+import subprocess
 import tokenize
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,6 @@ from typing import NamedTuple
 import click
 
 from softarm.common.revision import CHECKOUT
-from tools.sizes import listed
 
 # Archaic words and metaphors, each with the field's term. A word of one letter case matches all.
 WORDS = {
@@ -91,21 +91,15 @@ class Finding(NamedTuple):
 
 def findings(file: Path) -> Iterator[Finding]:
     """Yield the findings of one file, Python or Markdown."""
-    if file.suffix == ".md":
-        yield from _of_page(file)
-    else:
-        yield from _of_module(file)
+    return _of_page(file) if file.suffix == ".md" else _of_module(file)
 
 
 def tracked(places: tuple[Path, ...] = ()) -> list[Path]:
     """Return the Python files and pages under the given places that git tracks, without symbolic links."""
-    files = (CHECKOUT / name for name in listed(CHECKOUT, *map(str, places)))
-    return [file for file in files if file.suffix in {".py", ".md"} and file.name not in OWN and file.is_file()]
-
-
-def is_reference(page: Path) -> bool:
-    """Return whether a page is looked up rather than read, and may be long."""
-    return page.name in REFERENCES or REFERENCE_FOLDER in page.parts
+    command = ["git", "ls-files", "--", *map(str, places)]
+    listed = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=True).stdout.splitlines()
+    files = (CHECKOUT / name for name in listed if Path(name).suffix in {".py", ".md"})
+    return [file for file in files if file.name not in OWN and file.is_file() and not file.is_symlink()]
 
 
 def documented(node: ast.AST) -> Iterator[Documented]:
@@ -122,11 +116,9 @@ def _of_module(file: Path) -> Iterator[Finding]:
     tree = ast.parse(source)
     in_tests = file.is_relative_to(CHECKOUT / "tests")
     for node in documented(tree):
-        text = ast.get_docstring(node)
-        if text:
-            line = getattr(node, "lineno", 1)
-            private = getattr(node, "name", "").startswith("_")
-            yield from (Finding(file, line, why) for why in _of_docstring(text, private or in_tests))
+        if text := ast.get_docstring(node):
+            private = in_tests or getattr(node, "name", "").startswith("_")
+            yield from (Finding(file, getattr(node, "lineno", 1), why) for why in _of_docstring(text, private))
     # To tokenize takes most of the time, and few modules hold a word at all.
     suspects = (line for line in source.splitlines() if _ANY.search(line))
     if not any(word.lower() in WORDS for line in suspects for word in _IDENTIFIER.findall(line) + _WORD.findall(line)):
@@ -166,7 +158,7 @@ def _of_page(file: Path) -> Iterator[Finding]:
             text = re.sub(r"`[^`]*`", "", line)
             yield from (Finding(file, number, why) for why in _stumbled_over(_WORD.findall(text)))
     yield from _long_sentences(file, prose)
-    if not is_reference(file):
+    if file.name not in REFERENCES and REFERENCE_FOLDER not in file.parts:
         words = sum(len(line.split()) for line in lines)
         if len(lines) > PAGE_LINES_MAX:
             yield Finding(file, 1, f"{len(lines)} lines, allowed {PAGE_LINES_MAX}")
@@ -176,23 +168,23 @@ def _of_page(file: Path) -> Iterator[Finding]:
 
 def _long_sentences(file: Path, prose: list[str]) -> Iterator[Finding]:
     """Yield sentences over the limit; a list item, an empty line and a colon's end of line end a sentence."""
-    paragraph: list[tuple[int, str]] = []
+    paragraph: list[str] = []
+    begun = 1
     for number, line in enumerate([*prose, ""], start=1):
-        starts_item = re.match(r"\s*([-*]|\d+\.)\s", line)
-        if not line.strip() or starts_item:
-            yield from _long_in(file, paragraph)
+        if not line.strip() or re.match(r"\s*([-*]|\d+\.)\s", line):
+            yield from (Finding(file, begun, why) for why in _long_in(" ".join(paragraph)))
             paragraph = []
         if line.strip():
-            paragraph.append((number, line))
+            begun = begun if paragraph else number
+            paragraph.append(line.strip())
 
 
-def _long_in(file: Path, paragraph: list[tuple[int, str]]) -> Iterator[Finding]:
-    text = " ".join(line.strip() for _, line in paragraph)
+def _long_in(text: str) -> Iterator[str]:
     text = re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "code", text))
     for sentence in re.split(r"(?<=[.!?:;])[\"')*]*\s+", text):
         words = len(re.findall(r"[A-Za-z0-9][^\s]*", sentence))
         if words > SENTENCE_WORDS_MAX:
-            yield Finding(file, paragraph[0][0], f'sentence of {words} words: "{sentence[:60]} ..."')
+            yield f'sentence of {words} words: "{sentence[:60]} ..."'
 
 
 @click.command()
