@@ -1,6 +1,5 @@
 """Daemons under validation: one that simulates its robot, one with faulty policies that can be disturbed."""
 
-import contextlib
 import os
 import subprocess
 import time
@@ -8,15 +7,11 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import httpx
-
 from softarm.common.revision import CHECKOUT
 from softarm.drivers.rail import process as rail_process
 from softarm.evaluation.soak import usage
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.evaluation.software_in_the_loop import POLL_S, SoftwareInTheLoop, SoftwareInTheLoopError
 from validation.matrix.faulty_policies import PLUGINS
-
-POLL_S = 0.03
 
 
 class SimulatedDaemon(SoftwareInTheLoop):
@@ -60,32 +55,40 @@ class DisturbedDaemon(SoftwareInTheLoop):
             raise SoftwareInTheLoopError("the daemon has no process for the rail")
         return max(of_rail, key=lambda child: usage.of([child]).descriptors)
 
-    def answer(self) -> dict[str, Any] | None:
-        """Return the daemon's status, or None if it does not answer."""
-        with contextlib.suppress(httpx.HTTPError, ValueError):
-            return dict(self.client.get("/api/status", timeout=0.5).raise_for_status().json())
-        return None
-
     def recover(self, patience_s: float) -> bool:
         """Acknowledge a latched stop and wait until arming would be accepted; return whether there was a latch.
 
         Raises:
             SoftwareInTheLoopError: Arming is still refused after `patience_s`.
         """
-        is_acknowledged = False
+        self._acknowledged = False
         deadline = time.monotonic() + patience_s
-        refusals: list[str] = ["the daemon does not answer"]
-        while time.monotonic() < deadline:
-            if (status := self.answer()) is not None:
-                refusals = status["arming_refusals"]
-                if not refusals:
-                    return is_acknowledged
-                if status["estop"] != "clear":
-                    is_acknowledged = True
-                    with contextlib.suppress(httpx.HTTPError):
-                        self.client.post("/api/acknowledge")
+        while not self._ready_to_arm():
+            if time.monotonic() > deadline:
+                raise SoftwareInTheLoopError(f"not ready again within {patience_s:g} s: {self._tail('run')}")
             time.sleep(POLL_S)
-        raise SoftwareInTheLoopError(f"not ready again within {patience_s:g} s: {refusals}")
+        return self._acknowledged
+
+    def drive(self, patience_s: float) -> None:
+        """Arm and let the policy drive, again after a stop that a busy machine has caused.
+
+        Raises:
+            SoftwareInTheLoopError: The daemon still does not drive after `patience_s`.
+        """
+        deadline = time.monotonic() + patience_s
+        while True:
+            self.recover(patience_s)
+            try:
+                self.arm()
+                self.post("goal", kind="run")
+                return
+            except SoftwareInTheLoopError:
+                if time.monotonic() > deadline:
+                    raise
+
+    def _acknowledge(self, last_stop: str) -> None:
+        self._acknowledged = True
+        super()._acknowledge(last_stop)
 
     def _start(self, verb: str, config_file: Path, *options: str) -> "subprocess.Popen[bytes]":
         path = [str(self.folder), str(CHECKOUT), *filter(None, [os.environ.get("PYTHONPATH")])]

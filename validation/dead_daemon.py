@@ -84,24 +84,6 @@ class Rig(DisturbedDaemon):
         self._over.set()
         self._thread.join(5.0)
 
-    def rush(self) -> None:
-        """Arm and let the policy drive, retrying for `RECOVER_S`.
-
-        Raises:
-            SoftwareInTheLoopError: The daemon did not arm.
-        """
-        deadline = time.monotonic() + RECOVER_S
-        while True:
-            try:
-                self.arm()
-                self.post("goal", kind="run")
-                return
-            except SoftwareInTheLoopError:
-                # A busy machine may cause a stop.
-                if time.monotonic() > deadline:
-                    raise
-                self.recover(RECOVER_S)
-
     def go_on(self) -> None:
         """Return to a daemon that can drive."""
         self.process.send_signal(signal.SIGCONT)
@@ -148,7 +130,7 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict
 
 
 def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str, float]:
-    rig.rush()
+    rig.drive(RECOVER_S)
     time.sleep(draw.uniform(*SWING_S))
     robot, speed_m_s = rig.robot, draw.uniform(SPEED_M_S, 0.95)
     deadline = time.monotonic() + REST_S

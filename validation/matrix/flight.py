@@ -76,7 +76,7 @@ class Bench(DisturbedDaemon):
         return re.sub(r"127\.0\.0\.1:\d+", "127.0.0.1", text.replace(self._bench_folder, "").replace("|", "/"))
 
     def sweep(self, policy: str) -> None:
-        """Arm and start a sweeping policy.
+        """Select a sweeping policy and let it drive.
 
         Raises:
             SoftwareInTheLoopError: A request was refused.
@@ -85,8 +85,7 @@ class Bench(DisturbedDaemon):
         answer = self.client.put("/api/policy", json={"name": policy}, timeout=30)
         if answer.status_code != 200:
             raise SoftwareInTheLoopError(f"PUT policy {policy}: {answer.text}")
-        self.arm()
-        self.post("goal", kind="run")
+        self.drive(2 * RECOVERY_S)
 
 
 def events(log: Path, since_ns: int, until_ns: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -195,10 +194,9 @@ def _watch(bench: Bench, outcome: Outcome, seconds: float) -> None:
     """Poll the status for a while and keep the message that an operator would read."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        status = bench.answer()
-        if status is not None and status["mode"] != "armed":
-            outcome.stopped = True
-        if status is not None:
+        with contextlib.suppress(httpx.HTTPError):
+            status = bench.client.get("/api/status", timeout=0.5).raise_for_status().json()
+            outcome.stopped |= status["mode"] != "armed"
             outcome.message = bench.plain(_message(status)) or outcome.message
         time.sleep(POLL_S)
 
