@@ -7,51 +7,32 @@ import numpy as np
 
 from softarm.schemas.model import Model
 from softarm.simulator.effects import value
+from softarm.simulator.mjcf import export
+
+IMPLICIT = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+# Effects that the caller applies to the commands or as forces.
+APPLIED = ("pressure.lag", "rail.delay", "rail.acceleration_limit", "arm.stiffening", "arm.drag")
 
 
-def mjcf(model: Model, rate_hz: float, integrator: str = "implicitfast", actuators: bool = False) -> str:
-    """Return the arm as MJCF: x is the model's y; joint angles are positive towards +y.
+def compiled(model: Model, rate_hz: float, integrator: mujoco.mjtIntegrator = IMPLICIT) -> mujoco.MjModel:
+    """Return the arm of `softarm model export` without pressure lag and looks.
 
-    With `actuators`, the cart's velocity tracker and the muscle are MuJoCo's own, controlled by cart velocity
-    (m/s) and pressure (kPa), and the torque offset shifts the rest of the springs. Without, the caller applies
-    all forces.
-    Of the model's effects it includes payload, tilt and dry friction, which MJCF can express.
+    Its actuators are controlled by cart velocity (m/s) and pressure (kPa). Of the model's effects it includes payload,
+    tilt and dry friction of the joints.
     """
-    arm, cart = model.arm, model.cart
-    friction, payload, tilt = (
-        value(model, f"arm.{effect}", parameter)
-        for effect, parameter in (("coulomb_friction", "torque"), ("payload", "mass"), ("tilt", "angle"))
-    )
-    down = (-arm.gravity_m_s2 * math.sin(tilt), -arm.gravity_m_s2 * math.cos(tilt))
-    opening, closing, height = "", "", arm.base_height_m
-    for i in range(arm.links):
-        inertia, half = arm.link_inertia_kg_m2[i], arm.link_length_m[i] / 2
-        opening += (
-            f'<body pos="0 0 {height!r}"><joint name="joint{i}" type="hinge" axis="0 -1 0" '
-            f'stiffness="{arm.stiffness_nm_rad[i]!r}" damping="{arm.damping_nm_s_rad[i]!r}" '
-            # Stiffer than the default, which lets a resting joint creep.
-            f'frictionloss="{friction!r}" solreffriction="0.0005 1" solimpfriction="0.99 0.999 0.001" '
-            f'springref="{-arm.torque_offset_nm[i] / arm.stiffness_nm_rad[i] if actuators else 0.0!r}"/>'
-            f'<inertial pos="0 0 {-half!r}" mass="{arm.link_mass_kg[i]!r}" '
-            f'diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
-        )
-        closing += "</body>"
-        height = -2 * half
-    load = f'<body pos="0 0 {height!r}"><inertial pos="0 0 0" mass="{payload!r}" diaginertia="1e-9 1e-9 1e-9"/></body>'
-    muscle = "".join(f'<joint joint="joint{i}" coef="{-gain!r}"/>' for i, gain in enumerate(arm.muscle_gain_nm_kpa))
-    drives = (
-        f'<tendon><fixed name="muscle">{muscle}</fixed></tendon><actuator>'
-        f'<velocity joint="cart" kv="{cart.velocity_gain_n_s_m!r}"/><motor tendon="muscle"/></actuator>'
-    )
-    return (
-        f'<mujoco><compiler angle="radian" inertiafromgeom="false"/>'
-        f'<option timestep="{1 / rate_hz!r}" gravity="{down[0]!r} 0 {down[1]!r}" integrator="{integrator}">'
-        f'<flag contact="disable" constraint="{"enable" if friction else "disable"}"/></option><worldbody><body>'
-        '<joint name="cart" type="slide" axis="1 0 0"/>'
-        f'<inertial pos="0 0 0" mass="{cart.mass_kg!r}" diaginertia="1 1 1"/>'
-        f'{opening}<site name="tip" pos="0 0 {height!r}"/>{load if payload else ""}{closing}</body></worldbody>'
-        f"{drives if actuators else ''}</mujoco>"
-    )
+    effects = {name: given for name, given in model.effects.items() if name not in APPLIED}
+    spec = mujoco.MjSpec.from_string(export(model.model_copy(update={"effects": effects})).xml)
+    for look in (*spec.geoms, *spec.lights, *spec.sensors):
+        spec.delete(look)
+    physics = spec.compile()
+    physics.opt.timestep = 1 / rate_hz
+    physics.opt.integrator = integrator
+    # Stiffer than the default, which lets a resting joint creep.
+    physics.dof_solref[:], physics.dof_solimp[:, :3] = (0.0005, 1.0), (0.99, 0.999, 0.001)
+    physics.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if not physics.dof_frictionloss.any():
+        physics.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return physics
 
 
 def fly(
@@ -74,7 +55,9 @@ def fly(
         steps_per_command: Simulation steps per command.
     """
     arm, cart = model.arm, model.cart
-    physics = mujoco.MjModel.from_xml_string(mjcf(model, steps_per_command / period_s))
+    physics = compiled(model, steps_per_command / period_s)
+    physics.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    physics.qpos_spring[:] = 0.0
     data = mujoco.MjData(physics)
     tip, dt = physics.site("tip").id, physics.opt.timestep
     gain, offset = np.array(arm.muscle_gain_nm_kpa), np.array(arm.torque_offset_nm)

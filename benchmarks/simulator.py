@@ -25,7 +25,7 @@ import numpy as np
 from mujoco import rollout
 
 from benchmarks import commands, results
-from benchmarks.mujoco_arm import mjcf
+from benchmarks.mujoco_arm import IMPLICIT, compiled
 from softarm.common.processes import bar, cores
 from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
@@ -56,7 +56,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     load_before = os.getloadavg()[0]
     with bar("tip errors", total=None) as shown:
         sets = _command_sets(4 if quick else 16)
-        reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, threads, "RK4")
+        reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, threads, mujoco.mjtIntegrator.mjINT_RK4)
         ours = _error_mm(_our_tips(*sets), reference)
         for substeps in CANDIDATES:
             theirs = _error_mm(_mujoco_tips(*sets, substeps, threads), reference)
@@ -108,9 +108,9 @@ def _our_tips(velocity: np.ndarray, pressure: np.ndarray) -> np.ndarray:
 
 
 def _mujoco_tips(
-    velocity: np.ndarray, pressure: np.ndarray, substeps: int, threads: int, integrator: str = "implicitfast"
+    velocity: np.ndarray, pressure: np.ndarray, substeps: int, threads: int, integrator: mujoco.mjtIntegrator = IMPLICIT
 ) -> np.ndarray:
-    model = mujoco.MjModel.from_xml_string(mjcf(MODEL, substeps / CONTROL_PERIOD_S, integrator, actuators=True))
+    model = compiled(MODEL, substeps / CONTROL_PERIOD_S, integrator)
     control = _mujoco_controls(velocity, pressure, substeps)
     workers = [mujoco.MjData(model) for _ in range(threads)]
     with rollout.Rollout(nthread=threads) as pool:
@@ -197,7 +197,7 @@ class _Race:
     def __init__(self, mujoco_substeps: int, threads: int) -> None:
         velocity, pressure = (each[:MUJOCO_STEPS] for each in commands.smooth(ROBOTS, seed=3))
         self.ours = _Flight(MODEL, ROBOTS).speed
-        self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / CONTROL_PERIOD_S, actuators=True))
+        self._model = compiled(MODEL, mujoco_substeps / CONTROL_PERIOD_S)
         self._workers = [mujoco.MjData(self._model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads)
         self._control = _mujoco_controls(velocity, pressure, mujoco_substeps)
