@@ -25,13 +25,11 @@ from validation.mutants.operators import Key, Mutant, mutants
 from validation.mutants.targets import TARGETS, Target
 from validation.mutants.trials import trials
 
-COUNTS = ("tried", "killed", "timed_out", "explained", "unexplained", "seconds")
-
 
 class Found(NamedTuple):
     """Results of a module's mutants."""
 
-    figures: dict[str, float]  # by COUNTS
+    figures: dict[str, float]
     unexplained: list[Mutant]  # survivors without an explanation
     needless: list[Mutant]  # killed although explained
     stale: set[Key]  # explanations whose code no longer exists
@@ -48,9 +46,9 @@ def prove(target: Target, jobs: int, sample: int | None = None, seed: int = 0) -
     chosen = every = mutants(target.source)
     if sample is not None:
         chosen = Random(seed).sample(every, min(sample, len(every)))
-    done = trials(target, chosen, jobs)
-    ends = Counter(trial.end for trial in done)
-    unexplained = [trial.mutant for trial in done if trial.end == "survived" and trial.mutant.key not in known]
+    done = list(zip(chosen, trials(target, chosen, jobs), strict=True))
+    ends = Counter(end for _, end in done)
+    unexplained = [mutant for mutant, end in done if end == "survived" and mutant.key not in known]
     figures = {
         "tried": len(done),
         "killed": ends["killed"],
@@ -59,7 +57,7 @@ def prove(target: Target, jobs: int, sample: int | None = None, seed: int = 0) -
         "unexplained": len(unexplained),
         "seconds": round(time.monotonic() - start_s, 1),
     }
-    needless = [trial.mutant for trial in done if trial.end != "survived" and trial.mutant.key in known]
+    needless = [mutant for mutant, end in done if end != "survived" and mutant.key in known]
     return Found(figures, unexplained, needless, known.keys() - {mutant.key for mutant in every})
 
 
@@ -89,9 +87,9 @@ def main(modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, jso
         for module in modules:
             found[module] = prove(TARGETS[module], jobs, sample, seed)
             shown.advance(1, module)
-    table = Table(Column("module", no_wrap=True), *COUNTS, box=SIMPLE)
+    table = Table(Column("module", no_wrap=True), *next(iter(found.values())).figures, box=SIMPLE)
     for module, each in found.items():
-        table.add_row(module, *(str(each.figures[count]) for count in COUNTS))
+        table.add_row(module, *map(str, each.figures.values()))
     Console().print(table)
     for module, each in found.items():
         for old in each.stale:

@@ -5,10 +5,9 @@ Annotations, decorators, docstrings, messages and code for type checkers are not
 """
 
 import ast
-import copy
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 Step = tuple[str, int | None]  # field of a node, and the index if it is a list
@@ -74,28 +73,28 @@ def mutants(source: str) -> list[Mutant]:
     counted: Counter[tuple[str, str, str]] = Counter()
     seen: set[tuple[tuple[Step, ...], str]] = set()
     found = []
-    for path, node in _changes(tree):
-        site = _site(tree, path)
-        was = _text(_at(tree, site))
-        now = "pass" if isinstance(node, ast.Pass) else _text(_changed(_at(tree, site), path[len(site) :], node))
-        if was == now or (site, now) in seen:
-            continue
-        seen.add((site, now))
-        key = (_scope(tree, path), was, now)
-        counted[key] += 1
-        found.append(Mutant(*key, counted[key], path, node))
+    for path, node in _walk(tree, ()):
+        for new in _instead(node, path, tree):
+            site = _site(tree, path)
+            was, scope = _text(_at(tree, site)), _scope(tree, path)
+            _put(tree, path, new)
+            now = _text(_at(tree, site))
+            _put(tree, path, node)
+            if was == now or (site, now) in seen:
+                continue
+            seen.add((site, now))
+            key = (scope, was, now)
+            counted[key] += 1
+            found.append(Mutant(*key, counted[key], path, new))
     return found
 
 
 def mutated(source: str, mutant: Mutant | None) -> ast.Module:
     """Return the module with one change, or unchanged."""
     tree = ast.parse(source)
-    return tree if mutant is None else ast.fix_missing_locations(_changed(tree, mutant.path, mutant.node))
-
-
-def _changes(tree: ast.Module) -> Iterator[tuple[tuple[Step, ...], ast.AST]]:
-    for path, node in _walk(tree, ()):
-        yield from ((path, new) for new in _instead(node, path, tree))
+    if mutant is not None:
+        _put(tree, mutant.path, mutant.node)
+    return ast.fix_missing_locations(tree)
 
 
 def _walk(node: ast.AST, path: tuple[Step, ...]) -> Iterator[tuple[tuple[Step, ...], ast.AST]]:
@@ -221,25 +220,20 @@ def _is_last(path: tuple[Step, ...], tree: ast.Module) -> bool:
     return isinstance(parent, ast.FunctionDef) and field == "body" and place == len(parent.body) - 1
 
 
-def _at(tree: ast.AST, path: tuple[Step, ...]) -> Any:
+def _at(tree: ast.AST, path: Sequence[Step]) -> Any:
     node: Any = tree
     for field, place in path:
         node = getattr(node, field) if place is None else getattr(node, field)[place]
     return node
 
 
-def _changed(tree: Any, path: tuple[Step, ...], node: ast.AST) -> Any:
-    """Return a copy of the tree with another node at the path."""
-    if not path:
-        return copy.deepcopy(node)
-    tree = copy.deepcopy(tree)
-    field, place = path[-1]
-    parent = _at(tree, path[:-1])
+def _put(tree: ast.AST, path: tuple[Step, ...], node: ast.AST) -> None:
+    *above, (field, place) = path
+    parent = _at(tree, above)
     if place is None:
-        setattr(parent, field, copy.deepcopy(node))
+        setattr(parent, field, node)
     else:
-        getattr(parent, field)[place] = copy.deepcopy(node)
-    return tree
+        getattr(parent, field)[place] = node
 
 
 def _site(tree: ast.Module, path: tuple[Step, ...]) -> tuple[Step, ...]:

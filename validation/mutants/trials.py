@@ -1,4 +1,4 @@
-"""Execution of mutants: one fork each, in which the module is replaced before any test imports it.
+"""Execution of mutants: one fork each, which imports the changed module before the tests.
 
 For each module a fresh interpreter imports everything that its tests need and that does not import the module; a fork
 of it starts within a tenth of a second. Tests run fastest first and stop at the first failure.
@@ -7,7 +7,6 @@ of it starts within a tenth of a second. Tests run fastest first and stop at the
 import contextlib
 import gc
 import importlib
-import importlib.abc
 import importlib.util
 import os
 import resource
@@ -16,10 +15,8 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from importlib.machinery import ModuleSpec
 from multiprocessing import get_context
-from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import pytest
 
@@ -36,15 +33,11 @@ _OPTIONS = "-x -q -p no:cacheprovider -m 'not realtime' -W ignore::pytest.Pytest
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
+End = Literal["killed", "timed out", "survived"]
+
+
 class FailsUnchanged(Exception):
     """Failure of the tests of an unchanged module, which makes its mutants meaningless."""
-
-
-class Trial(NamedTuple):
-    """Result of one mutant."""
-
-    mutant: Mutant
-    end: Literal["killed", "timed out", "survived"]
 
 
 class _Run(NamedTuple):
@@ -54,8 +47,8 @@ class _Run(NamedTuple):
     modules: list[str]  # imported at the end
 
 
-def trials(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial]:
-    """Return each mutant with its result.
+def trials(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[End]:
+    """Return the end of each mutant.
 
     Raises:
         FailsUnchanged: The tests fail without a change.
@@ -64,7 +57,7 @@ def trials(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial]:
         return fresh.submit(_try_all, target, mutants, jobs).result()
 
 
-def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial]:
+def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[End]:
     """Run the trials in the fresh interpreter."""
     os.chdir(CHECKOUT)
     sys.path[:] = [str(CHECKOUT), *(path for path in sys.path if path)]
@@ -76,14 +69,14 @@ def _try_all(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[Trial
     _unchanged(target, first.durations)  # under the conditions of a mutant
     limit_s = SLACK_S + SLACK * (time.monotonic() - start_s)
 
-    def tried(mutant: Mutant) -> Trial:
+    def tried(mutant: Mutant) -> End:
         try:
             run: _Run = apart.call("fork", limit_s, _run, target, mutant, first.durations)
         except TimeoutError:
-            return Trial(mutant, "timed out")
+            return "timed out"
         except apart.ProcessDied:
-            return Trial(mutant, "killed")
-        return Trial(mutant, "killed" if run.code else "survived")
+            return "killed"
+        return "killed" if run.code else "survived"
 
     with ThreadPoolExecutor(jobs) as pool:
         return list(pool.map(tried, mutants))
@@ -142,13 +135,23 @@ def _run(target: Target, mutant: Mutant | None, durations: Mapping[str, float]) 
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
         for output in (1, 2):
             os.dup2(nowhere.fileno(), output)
-    sys.meta_path.insert(0, _Finder(target, mutant))
+    _import(target, mutant)
     watch = _Watch(durations)
     code = 1
     with contextlib.suppress(SystemExit):
         code = int(pytest.main([*shlex.split(_OPTIONS), f"--rootdir={CHECKOUT}", *target.tests], plugins=[watch]))
     modules = [name for name, module in list(sys.modules.items()) if getattr(module, "__spec__", None)]
     return _Run(code, watch.failed, watch.durations, modules)
+
+
+def _import(target: Target, mutant: Mutant | None) -> None:
+    """Import the module with a change, under its own name."""
+    spec = importlib.util.find_spec(target.name)
+    assert spec is not None
+    module = sys.modules[target.name] = importlib.util.module_from_spec(spec)
+    exec(compile(mutated(target.source, mutant), spec.origin or "", "exec"), module.__dict__)
+    parent, _, leaf = target.name.rpartition(".")
+    setattr(sys.modules[parent], leaf, module)
 
 
 class _Watch:
@@ -166,21 +169,3 @@ class _Watch:
         self.durations[report.nodeid] = self.durations.get(report.nodeid, 0.0) + report.duration
         if report.failed:
             self.failed = f"{report.nodeid}\n{report.longreprtext}"
-
-
-class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Import finder that creates one module with a change."""
-
-    def __init__(self, target: Target, mutant: Mutant | None) -> None:
-        self._name = target.name
-        self._file = str(CHECKOUT / "softarm" / target.module)
-        self._tree = mutated(target.source, mutant)
-
-    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if fullname != self._name:
-            return None
-        return importlib.util.spec_from_loader(fullname, self, origin=self._file)
-
-    def exec_module(self, module: ModuleType) -> None:
-        module.__file__ = self._file
-        exec(compile(self._tree, self._file, "exec"), module.__dict__)
