@@ -16,7 +16,7 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +40,9 @@ Window = tuple[int, int]  # monotonic nanoseconds
 
 
 def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
-    """Measure both cases for `seconds` each with a swinging arm.
+    """Measure both cases for `seconds` each with a swinging arm; `report` receives the finished share.
 
-    Args:
-        seconds: Duration of each case.
-        report: Receives the finished share, 0 to 1.
-
-    Raises:
-        SoftwareInTheLoopError: Twin or daemon do not start.
+    Raises SoftwareInTheLoopError if twin or daemon do not start.
     """
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / "bare"
@@ -55,7 +50,7 @@ def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
             log = Path(sil.status()["recorder"]["log"])
             sil.arm()
             idle = swing(sil, seconds, lambda share: report(share / 2))
-            with beside(_hammer, sil.url):
+            with beside(run_async, _hammer, sil.url):
                 time.sleep(2.0)  # the interpreter of the clients starts before the measurement
                 hammered = swing(sil, seconds, lambda share: report(0.5 + share / 2))
         ticks = list(logs.read(log))
@@ -75,11 +70,7 @@ def beside(work: Callable[..., object], *arguments: object) -> Iterator[None]:
 
 
 def swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> Window:
-    """Send goals for a while and return when.
-
-    Raises:
-        SoftwareInTheLoopError: The daemon refused a goal.
-    """
+    """Send goals for a while and return when. Raises SoftwareInTheLoopError if the daemon refuses one."""
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
@@ -104,22 +95,18 @@ def bare_loop(notes: Path) -> None:
             file.write(struct.pack("<qq", now, now - deadline))
 
 
-def _lateness_ns(notes: Path, windows: Sequence[Window]) -> list[int]:
-    """Return the lateness of the bare loop's wake-ups within the windows."""
-    woken = np.fromfile(notes, dtype=np.int64).reshape(-1, 2).tolist()
-    return [late for begin, end in windows for t_ns, late in woken if begin <= t_ns < end]
-
-
 def figures(log: Iterable[Tick], windows: Sequence[Window], bare: Path) -> dict[str, Any]:
     """Return the punctuality of the loop within some windows of its log, and of the bare loop with these notes."""
     ticks = [tick for tick in log if any(begin <= tick[0].t_ns < end for begin, end in windows)]
     timings = [timing for _, _, timing in ticks]
+    woken = np.fromfile(bare, dtype=np.int64).reshape(-1, 2).tolist()
+    bare_late = [late for begin, end in windows for t_ns, late in woken if begin <= t_ns < end]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
     return {
         "compute_ms": _spread_ms([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
         "lateness_ms": _spread_ms([inputs.late_ns for inputs, _, _ in ticks]),
         "sensor_to_command_ms": _spread_ms(ages),
-        "bare_loop_lateness_ms": _spread_ms(_lateness_ns(bare, windows)),
+        "bare_loop_lateness_ms": _spread_ms(bare_late),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
@@ -130,11 +117,12 @@ def _spread_ms(values_ns: Sequence[float]) -> dict[str, float]:
     return results.spread([value * 1e-6 for value in values_ns])
 
 
-def _hammer(url: str) -> None:
-    asyncio.run(_hammering(url))
+def run_async(work: Callable[..., Coroutine[Any, Any, None]], *arguments: object) -> None:
+    """Run a coroutine function of a module, for `beside`."""
+    asyncio.run(work(*arguments))
 
 
-async def _hammering(url: str) -> None:
+async def _hammer(url: str) -> None:
     """Send 200 requests a second over a few connections, with two WebSocket clients that read everything."""
     import httpx
     import websockets

@@ -46,8 +46,7 @@ class DisturbedDaemon(SoftwareInTheLoop):
     def rail_process(self) -> int:
         """Return the id of the process that drives the rail; the spare one has fewer connections.
 
-        Raises:
-            SoftwareInTheLoopError: The daemon has no such process.
+        Raises SoftwareInTheLoopError if there is none.
         """
         children = usage.children(self.process.pid)
         of_rail = [child for child in children if rail_process.__name__ in usage.command(child)]
@@ -58,8 +57,7 @@ class DisturbedDaemon(SoftwareInTheLoop):
     def recover(self, patience_s: float) -> bool:
         """Acknowledge a latched stop and wait until arming would be accepted; return whether there was a latch.
 
-        Raises:
-            SoftwareInTheLoopError: Arming is still refused after `patience_s`.
+        Raises SoftwareInTheLoopError if arming is still refused after `patience_s`.
         """
         self._acknowledged = False
         deadline = time.monotonic() + patience_s
@@ -72,8 +70,7 @@ class DisturbedDaemon(SoftwareInTheLoop):
     def drive(self, patience_s: float) -> None:
         """Arm and let the policy drive, again after a stop that a busy machine has caused.
 
-        Raises:
-            SoftwareInTheLoopError: The daemon still does not drive after `patience_s`.
+        Raises SoftwareInTheLoopError if the daemon still does not drive after `patience_s`.
         """
         deadline = time.monotonic() + patience_s
         while True:

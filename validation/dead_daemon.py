@@ -105,15 +105,9 @@ CASES: dict[str, Callable[[Rig], None]] = {
 
 
 def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict[str, Any]:
-    """Measure `repeats` trials of each case and return the figures by case.
+    """Measure `repeats` trials of each case and return the figures by case; `report` receives the finished share.
 
-    Args:
-        repeats: Trials of each case.
-        cases: Names from CASES.
-        report: Receives the finished share, 0 to 1.
-
-    Raises:
-        SoftwareInTheLoopError: The daemon does not fly.
+    Raises SoftwareInTheLoopError if the daemon does not drive.
     """
     # Real devices do not wait for other programs.
     realtime.outrank_other_programs(Config().control.realtime_priority)

@@ -22,6 +22,8 @@ from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas import flights
 
+POLICIES = ("reach", "reach-wide", "reach-robust")
+NAME_HELP = "Name as in `softarm policy list`; may be repeated."
 # Strong faults within the bounds of the effect registry and of a bench; the rail's first.
 FAULTS = (
     "rail.delay_s=0.06",
@@ -46,14 +48,9 @@ FAULTS = (
 
 
 def measure(policies: Sequence[str], advance: Callable[[int], None]) -> dict[str, dict[str, float]]:
-    """Return fault -> policy -> share of the 162 flights that reached their target.
+    """Return fault -> policy -> share of the 162 flights that reached their target; `advance` counts flights.
 
-    Args:
-        policies: Names of policies.
-        advance: Receives the number of flights that have ended since the last call.
-
-    Raises:
-        PolicyError: A policy cannot be loaded.
+    Raises PolicyError if a policy cannot be loaded.
     """
     robots = {"none": RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in FAULTS}
     for policy in policies:
@@ -73,14 +70,7 @@ def _fly(job: tuple[str, str, RobotParameters]) -> float:
 
 
 @click.command()
-@click.option(
-    "--policy",
-    "policies",
-    multiple=True,
-    default=("reach", "reach-wide", "reach-robust"),
-    show_default=True,
-    help="Name as in `softarm policy list`; may be repeated.",
-)
+@click.option("--policy", "policies", multiple=True, default=POLICIES, show_default=True, help=NAME_HELP)
 @results.json_option
 def main(policies: tuple[str, ...], json_file: Path | None) -> None:
     """Print a table with a row per fault and a column per policy.

@@ -52,11 +52,7 @@ Attack = Callable[[Ports], Coroutine[Any, Any, None]]
 
 
 def run(stops: int, attacks: list[str], report: Callable[[float], None]) -> dict[str, Any]:
-    """Request `stops` stops each way under each attack and return the figures by attack.
-
-    Raises:
-        SoftwareInTheLoopError: The daemon did not start.
-    """
+    """Request `stops` stops each way under each attack and return the figures. Raises SoftwareInTheLoopError."""
     figures = {}
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -103,11 +99,7 @@ def _stop(ports: Ports, way: str) -> float | None:
 
 
 def summarize(times_s: list[float | None]) -> dict[str, Any]:
-    """Return the spread of the answers, ms, or None for each of its figures if no stop was answered.
-
-    Args:
-        times_s: Seconds until each stop was answered; None if it was not.
-    """
+    """Return the spread of the times to an answer, ms, or None for each of its figures if there was no answer."""
     done = [seconds * 1e3 for seconds in times_s if seconds is not None]
     spread = results.spread(done) if done else dict.fromkeys(("p50", "p99", "p999", "max"))
     return {**spread, "asked": len(times_s), "unanswered": len(times_s) - len(done)}

@@ -25,7 +25,7 @@ import numpy as np
 import websockets
 
 from benchmarks import results
-from benchmarks.loop import Window, bare_loop, beside, figures, swing
+from benchmarks.loop import Window, bare_loop, beside, figures, run_async, swing
 from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
@@ -40,8 +40,7 @@ RECENT_EVERY_S = 5.0
 def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None]) -> dict[str, Any]:
     """Measure `turns` turns of `seconds` each way and return the figures.
 
-    Raises:
-        SoftwareInTheLoopError: The daemon did not start or refused a goal, or a viewer failed.
+    Raises SoftwareInTheLoopError if the daemon did not start or refused a goal, or a viewer failed.
     """
     windows: dict[str, list[Window]] = {"alone": [], "viewed": []}
     cpu_s = dict.fromkeys(windows, 0.0)
@@ -81,21 +80,13 @@ def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None
 
 @contextlib.contextmanager
 def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float) -> Iterator[Connection]:
-    """Connect the viewers in another process; the connection returns their figures after `seconds`.
-
-    Raises:
-        SoftwareInTheLoopError: The viewers receive no data.
-    """
+    """Connect the viewers in another process; the connection returns their figures after `seconds`."""
     ours, theirs = multiprocessing.Pipe()
-    with beside(_watch, daemon.url, viewers, seconds, theirs):
+    with beside(run_async, _watching, daemon.url, viewers, seconds, theirs):
         if not ours.poll(READY_S):
             raise SoftwareInTheLoopError(f"the viewers received no data within {READY_S:g} s")
         ours.recv()
         yield ours
-
-
-def _watch(url: str, viewers: int, seconds: float, way: Connection) -> None:
-    asyncio.run(_watching(url, viewers, seconds, way))
 
 
 async def _watching(url: str, viewers: int, seconds: float, way: Connection) -> None:

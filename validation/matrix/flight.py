@@ -76,11 +76,7 @@ class Bench(DisturbedDaemon):
         return re.sub(r"127\.0\.0\.1:\d+", "127.0.0.1", text.replace(self._bench_folder, "").replace("|", "/"))
 
     def sweep(self, policy: str) -> None:
-        """Select a sweeping policy and let it drive.
-
-        Raises:
-            SoftwareInTheLoopError: A request was refused.
-        """
+        """Select a sweeping policy and let it drive. Raises SoftwareInTheLoopError."""
         self.recover(2 * RECOVERY_S)
         answer = self.client.put("/api/policy", json={"name": policy}, timeout=30)
         if answer.status_code != 200:
@@ -226,11 +222,7 @@ def _measure(bench: Bench, outcome: Outcome, mark: int, crashes: int, since_ns: 
 
 
 def fly_all(cells: list[Cell]) -> Iterator[tuple[Cell, Outcome]]:
-    """Fly cells one after the other.
-
-    Raises:
-        SoftwareInTheLoopError: The bench does not start.
-    """
+    """Fly cells one after the other. Raises SoftwareInTheLoopError if the bench does not start."""
     with tempfile.TemporaryDirectory(prefix="softarm-matrix-") as folder, Bench(Path(folder)) as bench:
         for cell in cells:
             yield cell, fly(bench, cell)
