@@ -1,5 +1,6 @@
 """Daemons under validation: one that simulates its robot, one with faulty policies that can be disturbed."""
 
+import contextlib
 import os
 import subprocess
 import time
@@ -27,15 +28,23 @@ class SimulatedDaemon(SoftwareInTheLoop):
 
 
 class DisturbedDaemon(SoftwareInTheLoop):
-    """Context in which twin and daemon run, and the daemon finds the faulty policies as plug-ins."""
+    """Context in which twin and daemon run, and the daemon finds the faulty policies as plug-ins.
+
+    `beside` closes what runs in other threads of this process, after the daemon.
+    """
 
     def __init__(self, logs: Path, overrides: dict[str, Any], twin_drivers: dict[str, Any] | None = None) -> None:
         super().__init__(logs, overrides, twin_drivers=twin_drivers)
+        self.beside = contextlib.ExitStack()
         about = self.folder / "validation-1.dist-info"
         about.mkdir()
         (about / "METADATA").write_text("Metadata-Version: 2.1\nName: validation\nVersion: 1\n")
         points = [f"{policy} = {target}" for policy, target in PLUGINS.items()]
         (about / "entry_points.txt").write_text("\n".join(["[softarm.policies]", *points]) + "\n")
+
+    def __exit__(self, *ended: Any) -> None:
+        super().__exit__(*ended)
+        self.beside.close()
 
     @property
     def process(self) -> "subprocess.Popen[bytes]":

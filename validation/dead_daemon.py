@@ -14,14 +14,13 @@ import random
 import signal
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import click
+from anyio.from_thread import start_blocking_portal
 
 from benchmarks import results
 from softarm.cli.shared.errors import failing
@@ -53,36 +52,22 @@ class Rig(DisturbedDaemon):
         super().__init__(folder / "logs", overrides)
         self.robot: Twin
         self.seen: list[tuple[float, float, bool]] | None = None  # time, cart position, whether the valve was open
-        self._ready: Future[Twin] = Future()
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._simulate, name="robot", daemon=True)
 
     def start_twin(self) -> None:
         """Simulate the robot in a thread of this process."""
-        self._thread.start()
-        self.robot = self._ready.result()
+        portal = self.beside.enter_context(start_blocking_portal())
+        portal.call(realtime.outrank_own_threads, Config().control.realtime_priority)
+        twin = Twin(Config.model_validate(self.settings), body=SimulatedBody())
+        self.robot = self.beside.enter_context(portal.wrap_async_context_manager(twin))
+        self.robot.faults.start("rail_keeps_going")
+        self.beside.callback(portal.start_task_soon(self._watch).cancel)
 
-    def _simulate(self) -> None:
-        realtime.outrank_own_threads(Config().control.realtime_priority)
-        try:
-            asyncio.run(self._serve())
-        except BaseException as error:
-            self._ready.set_exception(error)
-
-    async def _serve(self) -> None:
-        async with Twin(Config.model_validate(self.settings), body=SimulatedBody()) as twin:
-            twin.faults.start("rail_keeps_going")
-            self._ready.set_result(twin)
-            while not self._over.is_set():
-                if self.seen is not None:
-                    self.seen.append((time.monotonic(), twin.state.cart_position_m, twin.teensy.set_point_kpa == 0.0))
-                await asyncio.sleep(SAMPLE_S)
-
-    def end(self) -> None:
-        """End the daemon, then the robot."""
-        super().end()
-        self._over.set()
-        self._thread.join(5.0)
+    async def _watch(self) -> None:
+        while True:
+            if self.seen is not None:
+                state, is_open = self.robot.state, self.robot.teensy.set_point_kpa == 0.0
+                self.seen.append((time.monotonic(), state.cart_position_m, is_open))
+            await asyncio.sleep(SAMPLE_S)
 
     def go_on(self) -> None:
         """Return to a daemon that can drive."""

@@ -1,7 +1,10 @@
-"""Score of a policy: mean return and share of reached targets over fixed episodes."""
+"""Score of a policy over fixed episodes, and the command line of the scripts that train one."""
 
+import argparse
+import sys
 from collections.abc import Callable
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -33,3 +36,16 @@ def score(act: Callable[[Array], Array], episodes: int = 256, seed: int = 54) ->
         reached |= alive & info["success"]
         alive &= ~(terminated | truncated)
     return Score(float(returns.mean()), float(reached.mean()))
+
+
+def main(train: Callable[..., tuple[Any, ...]], export: Callable[..., float]) -> None:
+    """Train as the command line says, and export what `train` returns before its two scores."""
+    docs = sys.modules["__main__"].__doc__
+    parser = argparse.ArgumentParser(description=docs, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=400_000, help="of single robots")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("mine.onnx"), help="the policy's file")
+    asked = parser.parse_args()
+    *learned, before, after = train(asked.steps, asked.seed, show=True)
+    share = export(*learned, asked.out, asked.seed)
+    print(f"untrained: {before}; trained: {after}\nwrote {asked.out}, {share:.0%} of the validation set")

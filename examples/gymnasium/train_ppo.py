@@ -9,13 +9,12 @@ Algorithm: Schulman et al., Proximal Policy Optimization (2017), with generalise
 normalised by their running mean and deviation.
 """
 
-import argparse
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import torch
-from scoring import ENVIRONMENT, Array, Score, score
+from scoring import ENVIRONMENT, Array, Score, main, score
 from torch import Tensor, nn
 
 from softarm.training.record import foreign
@@ -136,16 +135,10 @@ def _learn(agent: Agent, optimiser: torch.optim.Optimizer, seen, done, chance, a
             optimiser.step()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=400_000, help="of single robots")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("mine.onnx"), help="the policy's file")
-    asked = parser.parse_args()
-    agent, before, after = train(asked.steps, asked.seed, show=True)
-    share = foreign.export(agent.actor, asked.out, mean=agent.mean, scale=agent.scale, cut=CUT, seed=asked.seed)
-    print(f"untrained: {before}; trained: {after}\nwrote {asked.out}, {share:.0%} of the validation set")
+def export(agent: Agent, out: Path, seed: int = 1) -> float:
+    """Write the policy's file and return the share of the validation set that it reaches."""
+    return foreign.export(agent.actor, out, mean=agent.mean, scale=agent.scale, cut=CUT, seed=seed)
 
 
 if __name__ == "__main__":
-    main()
+    main(train, export)

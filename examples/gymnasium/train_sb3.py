@@ -7,14 +7,13 @@
 where mine.yaml says `policies: {mine: {plugin: onnx, options: {model: mine.onnx}}}`.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
-from scoring import ENVIRONMENT, Array, Score, score
+from scoring import ENVIRONMENT, Array, Score, main, score
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
@@ -93,23 +92,13 @@ def train(steps: int, seed: int = 1, show: bool = False) -> tuple[PPO, VecNormal
     return model, envs, before, score(act)
 
 
-def export(model: PPO, envs: VecNormalize, out: Path) -> float:
+def export(model: PPO, envs: VecNormalize, out: Path, seed: int = 1) -> float:
     """Write the policy's file and return the share of the validation set that it reaches."""
     actor = torch.nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
     mean, scale = envs.obs_rms.mean, np.sqrt(envs.obs_rms.var + envs.epsilon)
-    return foreign.export(actor, out, mean=mean, scale=scale, cut=CUT, training={"learner": "stable-baselines3 PPO"})
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=400_000, help="of single robots")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("mine.onnx"), help="the policy's file")
-    asked = parser.parse_args()
-    model, envs, before, after = train(asked.steps, asked.seed, show=True)
-    share = export(model, envs, asked.out)
-    print(f"untrained: {before}; trained: {after}\nwrote {asked.out}, {share:.0%} of the validation set")
+    training = {"learner": "stable-baselines3 PPO"}
+    return foreign.export(actor, out, mean=mean, scale=scale, cut=CUT, seed=seed, training=training)
 
 
 if __name__ == "__main__":
-    main()
+    main(train, export)

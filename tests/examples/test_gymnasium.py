@@ -1,5 +1,6 @@
 """The scripts of examples/gymnasium train on the environments, and their policies fly."""
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -39,34 +40,22 @@ def test_the_scripts_train_and_export_for_a_few_steps(tmp_path: Path) -> None:
     import train_ppo
 
     agent, _, _ = train_ppo.train(FEW_STEPS)
-    foreign.export(agent.actor, tmp_path / "mine.onnx", mean=agent.mean, scale=agent.scale, cut=train_ppo.CUT)
+    train_ppo.export(agent, tmp_path / "mine.onnx")
     assert OnnxPolicy(str(tmp_path / "mine.onnx")).metadata.task == "reach"
 
 
 @pytest.mark.prove
-def test_ppo_in_one_file_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
-    import train_ppo
-
-    agent, before, after = train_ppo.train(STEPS)
+@pytest.mark.parametrize("script", ["train_ppo", "train_sb3"])
+def test_a_script_learns_to_reach_and_its_network_flies(script: str, tmp_path: Path) -> None:
+    if script == "train_sb3":
+        pytest.importorskip("stable_baselines3")
+    module, file = importlib.import_module(script), tmp_path / "mine.onnx"
+    *learned, before, after = module.train(STEPS)
     assert before.reached < 0.1
     assert after.reached > 0.5
     assert after.mean_return > before.mean_return + 4.0
-    share = foreign.export(agent.actor, tmp_path / "mine.onnx", mean=agent.mean, scale=agent.scale, cut=train_ppo.CUT)
-    assert share > 0.3
-    assert reached(tmp_path / "mine.onnx") >= 1
-
-
-@pytest.mark.prove
-def test_stable_baselines3_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    import train_sb3
-
-    model, envs, before, after = train_sb3.train(STEPS)
-    assert before.reached < 0.1
-    assert after.reached > 0.5
-    assert after.mean_return > before.mean_return + 4.0
-    assert train_sb3.export(model, envs, tmp_path / "mine.onnx") > 0.3
-    assert reached(tmp_path / "mine.onnx") >= 1
+    assert module.export(*learned, file) > 0.3
+    assert reached(file) >= 1
 
 
 def test_the_speed_script_counts_steps() -> None:

@@ -22,21 +22,9 @@ def test_a_parser_keeps_its_promise(name, monkeypatch):
     assert [found for case in range(FEW.get(name, CASES)) if (found := try_case(name, case))] == []
 
 
-@pytest.mark.parametrize(
-    ("take", "what"),
-    [
-        (lambda case: {}["missing"], "KeyError: 'missing'"),
-        (lambda case: sum(range(30_000_000)), "units of processor time, allowed 1"),
-        (lambda case: len(b"x" * 100_000_000), "MB, allowed 50"),
-    ],
-)
-def test_a_broken_promise_is_a_finding(take, what, monkeypatch):
-    monkeypatch.setitem(PARSERS, "planted", lambda: Parser(lambda random: 0, take, (ValueError,)))
-    monkeypatch.setattr(trials, "WORK_MAX", 1.0 if "units" in what else math.inf)
-    monkeypatch.setattr(trials, "MEMORY_MAX_MB", 50.0)
-    trials.made.cache_clear()
-    assert what in try_case("planted", 0).what
-    trials.made.cache_clear()
+def test_a_broken_promise_is_a_finding(monkeypatch):
+    monkeypatch.setitem(PARSERS, "planted", lambda: Parser(lambda random: 0, lambda case: {}["missing"], (ValueError,)))
+    assert "KeyError: 'missing'" in try_case("planted", 0).what
 
 
 @pytest.mark.slow

@@ -118,7 +118,6 @@ def test_a_silent_master_stops_the_drive_unless_it_keeps_its_set_point() -> None
     assert braked.drive.state == OFF
     assert (braked.crashes, braked.excursions) == (0, 0)
     assert braked.max_cart_m < 0.2
-    assert [crash["speed_m_s"] for crash in kept.last_crashes] == [pytest.approx(0.5, abs=0.1)]
     assert (kept.crashes, kept.excursions) == (1, 1)
     assert STOP_M <= kept.max_cart_m < STOP_M + 0.005
 

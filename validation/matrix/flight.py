@@ -1,6 +1,5 @@
 """Execution of the cells, with a daemon, a twin, disturbed wires between them and a sweeping cart."""
 
-import asyncio
 import contextlib
 import os
 import re
@@ -14,13 +13,14 @@ from pathlib import Path
 from typing import Any, Self
 
 import httpx
+from anyio.from_thread import start_blocking_portal
 
 from softarm.daemon.logbook import logs
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError, free_ports
 from validation.daemon_process import DisturbedDaemon
 from validation.matrix import faulty_policies
 from validation.matrix.cells import DEVICES, Cell, Outcome
-from validation.matrix.wires import Fault, MocapWire, RailWire, RegulatorWire, Wires
+from validation.matrix.wires import Fault, MocapWire, RailWire, RegulatorWire, Wire
 
 FAULT_S = 2.0
 MOVING_S = 1.2  # motion before a fault
@@ -54,22 +54,18 @@ class Bench(DisturbedDaemon):
         }
         super().__init__(folder / "logs", overrides, theirs)
         self.truth: list[dict[str, Any]] = []
-        loop = asyncio.new_event_loop()
-        wires = {
-            "rail": RailWire(0, loop, ports[2], ports[3]),
-            "regulator": RegulatorWire(1, loop, lines[0], lines[1]),
-            "mocap": MocapWire(2, loop, endpoints[0], endpoints[1], self.truth.append),
+        self.wires: dict[str, Wire] = {
+            "rail": RailWire(0, ports[2], ports[3]),
+            "regulator": RegulatorWire(1, lines[0], lines[1]),
+            "mocap": MocapWire(2, endpoints[0], endpoints[1], self.truth.append),
         }
-        self.wires = Wires(loop, wires)
         self._bench_folder = str(folder)
 
     def __enter__(self) -> Self:
-        self.wires.__enter__()
+        portal = self.beside.enter_context(start_blocking_portal())
+        for wire in self.wires.values():
+            self.beside.callback(portal.start_task_soon(wire.run).cancel)
         return super().__enter__()
-
-    def __exit__(self, *ended: Any) -> None:
-        super().__exit__(*ended)
-        self.wires.__exit__()
 
     def plain(self, text: str) -> str:
         """Return a text without folder and ports, which differ between runs."""

@@ -1,7 +1,7 @@
 """Wires between daemon and devices that can be disturbed, with a TCP relay, a pty relay and a Zenoh relay.
 
-They know the length of a frame and nothing else about the data. All run in one thread with an asyncio loop of its own;
-`spoil` and `mend` may be called from any other thread.
+They know the length of a frame and nothing else about the data. All run in one event loop; `spoil` and `mend` may be
+called from any other thread.
 """
 
 import asyncio
@@ -9,13 +9,12 @@ import contextlib
 import json
 import os
 import random
-import threading
 import tty
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import zenoh
 
@@ -48,23 +47,20 @@ class Fault(StrEnum):
 class Wire:
     """Current fault of one wire, and its effect on data."""
 
-    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
-        self._loop = loop
+        self._loop: asyncio.AbstractEventLoop
         self._fault: Fault | None = None
         self._directions: tuple[Direction, ...] = ()
         self._passed: dict[Direction, bytes] = {}
-        self._task: asyncio.Task[None]
 
-    async def open(self) -> None:
-        """Connect both sides, and again after each disconnection."""
-        self._task = self._loop.create_task(self._keep_connected())
-
-    async def close(self) -> None:
-        """Disconnect both sides for good."""
-        self._task.cancel()
-        self._disconnect()
-        await asyncio.wait([self._task])
+    async def run(self) -> None:
+        """Connect both sides, and again after each disconnection, until this task is cancelled."""
+        self._loop = asyncio.get_running_loop()
+        try:
+            await self._keep_connected()
+        finally:
+            self._disconnect()
 
     async def _keep_connected(self) -> None:
         """Connect while there is no connection and none is refused."""
@@ -85,7 +81,7 @@ class Wire:
         self._fault = None
 
     def hang_up(self) -> None:
-        """Close the current connection, from any thread."""
+        """Close the current connection."""
         self._loop.call_soon_threadsafe(self._disconnect)
 
     @property
@@ -123,8 +119,8 @@ class Wire:
 class RailWire(Wire):
     """TCP relay at the address where the daemon expects the drive."""
 
-    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop, port: int, device_port: int) -> None:
-        super().__init__(seed, loop)
+    def __init__(self, seed: int, port: int, device_port: int) -> None:
+        super().__init__(seed)
         self._port, self._device_port = port, device_port
         self._open: set[asyncio.StreamWriter] = set()
 
@@ -149,11 +145,9 @@ class RailWire(Wire):
                 asyncio.create_task(self._pump(device_reader, writer, "read")),
             ]
             await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
-            for pump in pumps:
-                pump.cancel()
-            await asyncio.gather(*pumps, return_exceptions=True)
             for end in ends:
                 end.transport.abort()
+            await asyncio.wait(pumps)
             self._open -= ends
 
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, direction: Direction) -> None:
@@ -165,8 +159,8 @@ class RailWire(Wire):
 class RegulatorWire(Wire):
     """Pty at the path of the serial port, joined to the device's own pty."""
 
-    def __init__(self, seed: int, loop: asyncio.AbstractEventLoop, path: Path, device_path: Path) -> None:
-        super().__init__(seed, loop)
+    def __init__(self, seed: int, path: Path, device_path: Path) -> None:
+        super().__init__(seed)
         self._path, self._device_path = path, device_path
         self._host: tuple[int, int] | None = None  # both ends of the pty
         self._device: int | None = None
@@ -234,14 +228,9 @@ class MocapWire(Wire):
     """
 
     def __init__(
-        self,
-        seed: int,
-        loop: asyncio.AbstractEventLoop,
-        endpoint: str,
-        camera_endpoint: str,
-        report_state: Callable[[dict[str, Any]], None],
+        self, seed: int, endpoint: str, camera_endpoint: str, report_state: Callable[[dict[str, Any]], None]
     ) -> None:
-        super().__init__(seed, loop)
+        super().__init__(seed)
         self._endpoint, self._camera_endpoint = endpoint, camera_endpoint
         self._report_state = report_state
         self._daemon: zenoh.Session | None = None
@@ -280,25 +269,3 @@ class MocapWire(Wire):
             with contextlib.suppress(zenoh.ZError):
                 drop = zenoh.CongestionControl.DROP
                 self._daemon.put(KEY, data, encoding=encoding, congestion_control=drop)
-
-
-class Wires(dict[str, Wire]):
-    """Context in which the wire of each device runs on the loop, in a thread of its own."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, wires: Mapping[str, Wire]) -> None:
-        super().__init__(wires)
-        self._loop = loop
-        self._thread = threading.Thread(target=loop.run_forever, name="wires", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        for wire in self.values():
-            asyncio.run_coroutine_threadsafe(wire.open(), self._loop).result(10)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for wire in self.values():
-            asyncio.run_coroutine_threadsafe(wire.close(), self._loop).result(10)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(5)
-        self._loop.close()

@@ -82,11 +82,7 @@ class Drive:
     """
 
     def __init__(
-        self,
-        latency_s: float,
-        keep: bool,
-        friction_n: float = 0.0,
-        unreferenced_at_m: float | None = None,
+        self, latency_s: float, keep: bool, friction_n: float = 0.0, unreferenced_at_m: float | None = None
     ) -> None:
         self._latency_s, self._keep = latency_s, keep
         self._values: dict[int | tuple[int, int], int] = dict.fromkeys(_OBJECTS, 0)
@@ -280,9 +276,7 @@ class Port:
                 return True
             telegram, self._buffer = self._buffer[: 6 + length], self._buffer[6 + length :]
             answer = self._drive.answer(telegram, now)
-            with contextlib.suppress(
-                OSError
-            ):  # telegrams of a master that does not read still count, since its last one is a stop
+            with contextlib.suppress(OSError):  # a master that does not read still sends, at last a stop
                 master.sendall(answer)
         return True
 

@@ -6,7 +6,6 @@ from .regulator import Firmware
 
 STEP_S = 0.001
 _CRASHED = 0xFF00
-_REMEMBERED = 8
 _CLEAR_M = 0.001  # distance from the stop after which a touch is another crash
 
 
@@ -18,14 +17,13 @@ class Robot:
         self.max_cart_m = 0.0
         self.excursions = 0
         self.crashes = 0
-        self.last_crashes: list[dict[str, float]] = []
         self._bound_m = bound_m
         self._beyond = self._touching = False
 
     def step(self, now: float) -> None:
         """Advance by STEP_S from `now` (s)."""
-        body, speed = self.body, self.body.cart_m_s
-        force_n, servo_ns_m = self.drive.step(STEP_S, now, body.cart_m, speed)
+        body = self.body
+        force_n, servo_ns_m = self.drive.step(STEP_S, now, body.cart_m, body.cart_m_s)
         body.step(STEP_S, self.firmware.set_kpa, force_n, servo_ns_m)
         away = abs(body.cart_m)
         self.max_cart_m = max(self.max_cart_m, away)
@@ -35,23 +33,9 @@ class Robot:
         touching = away > STOP_M - _CLEAR_M if self._touching else away >= STOP_M
         if touching and not self._touching:
             self.crashes += 1
-            self.last_crashes.append({"t_s": now, "cart_m": body.cart_m, "speed_m_s": speed})
-            del self.last_crashes[:-_REMEMBERED]
             self.drive.trip(_CRASHED)
         self._touching = touching
 
-    def truth(self) -> dict[str, object]:
-        """Return the true state and the counters for a JSON file."""
-        body = self.body
-        return {
-            "cart_m": body.cart_m,
-            "cart_m_s": body.cart_m_s,
-            "tip_m": body.poses()["link5"][:2],
-            "pressure_kpa": body.pressure_kpa,
-            "armed": self.firmware.armed,
-            "drive": self.drive.state,
-            "max_cart_m": self.max_cart_m,
-            "excursions": self.excursions,
-            "crashes": self.crashes,
-            "last_crashes": self.last_crashes,
-        }
+    def truth(self) -> dict[str, float]:
+        """Return the record of the cart for a JSON file."""
+        return {"max_cart_m": self.max_cart_m, "excursions": self.excursions, "crashes": self.crashes}
