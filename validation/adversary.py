@@ -9,7 +9,9 @@ Skipped ticks count as ticks.
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from benchmarks import results
 from softarm.common.processes import as_they_come, bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
+from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.evaluation.evaluation import FLIGHTS
 from softarm.policies import registry
@@ -65,36 +68,55 @@ COST_WORLDS = {
 }
 
 
-class LateBody(SimulatedBody):
-    """Robot whose axis shows an old position with an old stamp."""
+class LateBody:
+    """Body whose axis shows an old position, with its farthest true position from the middle since it was placed.
 
-    def __init__(self, world: World) -> None:
-        self._age_ns = round(world.age_s * 1e9)
-        self._read: deque[RailReading] = deque()
-        super().__init__(world.model)
-        self.farthest_m = 0.0  # since the last call of place
-        self._read.append(super().encoder())
+    Args:
+        body: The body; every other attribute is its own.
+        age_s: Age of the axis readings.
+        pieces: Splits a step's duration, ns, at the moments at which the axis and the position are looked at.
+        fresh: Whether the stamps of the readings hide their age.
+    """
+
+    def __init__(self, body: Body, age_s: float, pieces: Callable[[int], Iterable[int]], fresh: bool = False) -> None:
+        self._body, self._age_ns, self._pieces, self._fresh = body, round(age_s * 1e9), pieces, fresh
+        self._begin()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)
+
+    def _begin(self) -> None:
+        self._read = deque([self._body.encoder()])
+        self.farthest_m = abs(self._body.truth.cart_position_m)
 
     def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
-        """Advance the robot as `Body.step` does."""
-        until_ns = self.now_ns + duration_ns
-        while self.now_ns < until_ns:
-            super().step(cart_velocity_m_s, pressure_kpa, min(LOOK_NS, until_ns - self.now_ns))
-            self._read.append(super().encoder())
-            self.farthest_m = max(self.farthest_m, abs(float(self.simulator.cart_position_m[0])))
-        while len(self._read) > 1 and self._read[1].t_receive_ns <= self.now_ns - self._age_ns:
+        """Advance the body as `Body.step` does."""
+        for piece_ns in self._pieces(duration_ns):
+            self._body.step(cart_velocity_m_s, pressure_kpa, piece_ns)
+            self._read.append(replace(self._body.encoder(), t_receive_ns=self._body.now_ns))
+            self.farthest_m = max(self.farthest_m, abs(self._body.truth.cart_position_m))
+        while len(self._read) > 1 and self._read[1].t_receive_ns <= self._body.now_ns - self._age_ns:
             self._read.popleft()
 
     def place(self, cart_position_m: float) -> None:
         """Put the cart somewhere as `Body.place` does."""
-        super().place(cart_position_m)
-        self._read.clear()
-        self._read.append(super().encoder())
-        self.farthest_m = abs(cart_position_m)
+        self._body.place(cart_position_m)
+        self._begin()
 
     def encoder(self) -> RailReading:
         """Return the delayed axis reading."""
-        return self._read[0]
+        return replace(self._read[0], t_receive_ns=self._body.now_ns) if self._fresh else self._read[0]
+
+
+def late(world: World) -> LateBody:
+    """Return the simulated robot of a world, whose readings have old stamps."""
+    return LateBody(SimulatedBody(world.model), world.age_s, looks)
+
+
+def looks(duration_ns: int) -> Iterator[int]:
+    """Split a duration into intervals of LOOK_NS and a shorter rest."""
+    for begin_ns in range(0, duration_ns, LOOK_NS):
+        yield min(LOOK_NS, duration_ns - begin_ns)
 
 
 class Mean:
@@ -137,7 +159,7 @@ def attack_by_ticks(world: World, seed: int) -> dict[str, Any]:
     config, stops = configured(world, limits), Counter[str]()
     farthest, ticks = {}, 0
     for kind, name in enumerate(KINDS):
-        body = LateBody(world)
+        body = late(world)
         daemon = Lockstep(config, Mean(kind, Genes.draw(rng, 1) if kind == 2 else None, rng), body=body)
         daemon.arm()
         ticks += _throw(daemon, world, rng, stops)
@@ -173,12 +195,9 @@ def _throw(daemon: Lockstep, world: World, rng: np.random.Generator, stops: Coun
     return ticks
 
 
-def _law(seed: int) -> dict[str, Any]:
-    return attack(World.draw(np.random.default_rng((seed, 1))), ROBOTS, seed)
-
-
-def _tick(seed: int) -> dict[str, Any]:
-    return attack_by_ticks(World.draw(np.random.default_rng((seed, 1))), seed)
+def _attacked(through: str, seed: int) -> dict[str, Any]:
+    world = World.draw(np.random.default_rng((seed, 1)))
+    return attack(world, ROBOTS, seed) if through == "law" else attack_by_ticks(world, seed)
 
 
 def cost(policies: Iterable[str], step: Callable[[], None]) -> dict[str, dict[str, float]]:
@@ -190,7 +209,7 @@ def cost(policies: Iterable[str], step: Callable[[], None]) -> dict[str, dict[st
         limits = measured(world, MEASURED_ROBOTS, np.random.default_rng(0)) if changes else RailLimits()
         table[name] = {key: round(getattr(limits, key), 2) for key in ("braking_m_s2", "drag_m_s")}
         for policy in policies:
-            daemon = Lockstep(configured(world, limits), registry.load(policy), body=LateBody(world))
+            daemon = Lockstep(configured(world, limits), registry.load(policy), body=late(world))
             reached = 0
             for scenario in flights.grid():
                 reached += daemon.fly(scenario.goal, scenario.cart_start_m).reached
@@ -207,7 +226,7 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
         "worlds": len(found),
         "flights": sum(each["flights"] for each in found),
         "robot_ticks": sum(each["robot_ticks"] for each in found),
-        "farthest_m": {kind: max((each["farthest_m"].get(kind, 0.0) for each in found), default=0.0) for kind in kinds},
+        "farthest_m": {kind: max(each["farthest_m"].get(kind, 0.0) for each in found) for kind in kinds},
         "worlds_beyond_soft_limit": sum(each > 0.0 for each in beyond),
         "worlds_beyond_margin": sum(each > RAIL_EXCURSION_M for each in beyond),
         "worlds_at_hard_limit": sum(each > RAIL_TRAVEL_M - RAIL_LIMIT_M - AT_THE_STOP_M for each in beyond),
@@ -240,7 +259,7 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
     worlds = -(-ticks // ticks_of_a_world)
     seeds, found = range(seed * 1_000_000, seed * 1_000_000 + worlds), {}
     with bar("worlds", worlds) as shown:
-        for number, each in as_they_come(_law if through == "law" else _tick, seeds, jobs):
+        for number, each in as_they_come(partial(_attacked, through), seeds, jobs):
             found[number] = each
             shown.advance(1)
     figures = summed([found[number] for number in seeds])

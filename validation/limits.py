@@ -8,8 +8,8 @@ faces a policy that drives the cart against both ends as hard as possible. The c
 The simulated robot needs the extra `sim`, the independent one `mujoco`.
 """
 
-from collections import deque
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from softarm.reality.parameters import Arm, Rail, RobotParameters
 from softarm.recordings.rail_motion import RailMotion
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
-from softarm.schemas.messages import RailReading
+from validation.adversary import LateBody
 from validation.adversary_batch import World
 
 LOOKS = 8  # samples of the body per tick
@@ -49,13 +49,16 @@ class Robot:
     payload_kg: float
     age_s: float  # how much older readings are than their stamps
 
-    def make(self) -> "Aged":
+    def make(self) -> LateBody:
         """Return a new body, at rest in the middle."""
+        body: Body
         if self.body == "reality":
             rail = Rail(acceleration_m_s2=self.ramp_m_s2, delay_s=self.latency_s)
-            return Aged(IndependentBody(RobotParameters(rail=rail, arm=Arm(payload_kg=self.payload_kg))), self.age_s)
-        world = World(self.ramp_m_s2, self.latency_s, self.payload_kg, self.age_s, skips=0.0, skipped_max=1)
-        return Aged(SimulatedBody(world.model), self.age_s)
+            body = IndependentBody(RobotParameters(rail=rail, arm=Arm(payload_kg=self.payload_kg)))
+        else:
+            world = World(self.ramp_m_s2, self.latency_s, self.payload_kg, self.age_s, skips=0.0, skipped_max=1)
+            body = SimulatedBody(world.model)
+        return LateBody(body, self.age_s, eighths, fresh=True)
 
     def config(self, **rail: float) -> Config:
         """Return the daemon's configuration, with the drive set to the robot's ramp."""
@@ -77,31 +80,10 @@ ROBOTS = tuple(
 )
 
 
-class Aged:
-    """Body whose axis readings are older than their stamps, with its farthest true position from the middle."""
-
-    def __init__(self, body: Body, age_s: float) -> None:
-        self._body, self._age_ns = body, round(age_s * 1e9)
-        self._seen: deque[RailReading] = deque([body.encoder()], maxlen=1000)
-        self.farthest_m = 0.0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._body, name)
-
-    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
-        """Advance the body as `Body.step` does."""
-        done = 0
-        for look in range(1, LOOKS + 1):
-            until = duration_ns * look // LOOKS
-            self._body.step(cart_velocity_m_s, pressure_kpa, until - done)
-            done = until
-            self._seen.append(replace(self._body.encoder(), t_receive_ns=self._body.now_ns))
-            self.farthest_m = max(self.farthest_m, abs(self._body.truth.cart_position_m))
-
-    def encoder(self) -> RailReading:
-        """Return an old reading with a current stamp."""
-        old = [each for each in self._seen if each.t_receive_ns <= self._body.now_ns - self._age_ns] or [self._seen[0]]
-        return replace(old[-1], t_receive_ns=self._body.now_ns)
+def eighths(duration_ns: int) -> Iterator[int]:
+    """Split a duration into LOOKS intervals."""
+    for look in range(LOOKS):
+        yield duration_ns * (look + 1) // LOOKS - duration_ns * look // LOOKS
 
 
 class Attack(Policy):
