@@ -8,7 +8,7 @@ counts, so measure on a quiet one.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,17 +36,10 @@ class Point(NamedTuple):
     report: Shares
 
 
-def first_held(reached: list[bool]) -> int | None:
-    """Return the index of the first of HELD + 1 successive true values, or None."""
-    for k in range(len(reached) - HELD):
-        if all(reached[k : k + HELD + 1]):
-            return k
-    return None
-
-
-def is_at_level(report: Shares) -> bool:
-    """Return whether a policy reaches the paper's level in each of its three figures."""
-    return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
+def level_held(points: Sequence[Point]) -> Point | None:
+    """Return the first of HELD + 1 successive points at the paper's level in each of its three figures, or None."""
+    reached = [all(ours >= theirs for ours, theirs in zip(point.report, LEVEL, strict=True)) for point in points]
+    return next((points[k] for k in range(len(points) - HELD) if all(reached[k : k + HELD + 1])), None)
 
 
 def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point]:
@@ -54,7 +47,7 @@ def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
     session = begin(RECIPES["reach"], seed, out, pool, resume=False)
-    while not points or (session.frames < frames_most and first_held([is_at_level(p.report) for p in points]) is None):
+    while not points or (session.frames < frames_most and level_held(points) is None):
         session.advance()
         if len(session.curve) % session.config.validate_every:
             continue
@@ -72,23 +65,19 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
 
     A time is None if the level was not reached within `frames_most`. A curve has seconds, frames and the three shares.
     """
-    times: list[float | None] = []
-    frames_there: list[int | None] = []
+    there: list[Point | None] = []
     curves = []
-    frames = seconds = 0.0
     with workers() as pool, TemporaryDirectory() as folder:
         for seed in seeds:
             points = follow(seed, Path(folder) / str(seed), pool, frames_most)
-            place = first_held([is_at_level(point.report) for point in points])
-            times.append(None if place is None else points[place].seconds)
-            frames_there.append(None if place is None else points[place].frames)
-            frames, seconds = frames + points[-1].frames, seconds + points[-1].seconds
+            held = level_held(points)
+            there.append(held)
             curves.append([(point.seconds, point.frames, *point.report) for point in points])
-            report(f"seed {seed}: {times[-1]} s, {frames_there[-1]} frames")
+            report(f"seed {seed}: {held and held.seconds} s, {held and held.frames} frames")
     return {
-        "seconds_to_seed_level": times,
-        "frames_to_seed_level": frames_there,
-        "steps_per_s": frames / seconds,
+        "seconds_to_seed_level": [held and held.seconds for held in there],
+        "frames_to_seed_level": [held and held.frames for held in there],
+        "steps_per_s": sum(curve[-1][1] for curve in curves) / sum(curve[-1][0] for curve in curves),
         "curves": curves,
     }
 
