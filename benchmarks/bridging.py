@@ -166,12 +166,8 @@ def _armed(ticks: Ticks) -> list[Inputs]:
     return [inputs for inputs, outputs, _ in ticks if outputs.mode is Mode.ARMED]
 
 
-def windows(flights: Iterator[list[Inputs]], every: int = 2) -> list[Window]:
-    """Cut flights into windows, one every `every` ticks."""
-    return [window for ticks in flights for window in _windows(ticks, every)]
-
-
-def _windows(ticks: Sequence[Inputs], every: int) -> Iterator[Window]:
+def windows(ticks: Sequence[Inputs], every: int = 2) -> Iterator[Window]:
+    """Cut a flight into windows, one every `every` ticks."""
     axis, pressure = ReadingHistory(), ReadingHistory()
     strength = Strength()
     for number, tick in enumerate(ticks[: -HORIZONS or None]):
@@ -220,7 +216,7 @@ def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tu
 
 def errors(body: str) -> dict[str, list[float]]:
     """Return method -> RMS error of the tip in m after one tick without a frame, two, and so on."""
-    cut = windows(swings(body, seed=3))
+    cut = [window for ticks in swings(body, seed=3) for window in windows(ticks)]
     return {
         method: np.sqrt(np.square([off_m(each, method) for each in cut]).sum(axis=2).mean(axis=0)).tolist()
         for method in METHODS
@@ -231,7 +227,7 @@ def fit() -> TipModel:
     """Fit the model's constants to swings of the simulator, with errors up to each tick, robust against outliers."""
     from scipy.optimize import least_squares
 
-    cut = windows(swings(SIMULATOR), every=3)
+    cut = [window for ticks in swings(SIMULATOR) for window in windows(ticks, every=3)]
 
     def left(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         model = TipModel(*numbers.tolist())

@@ -64,13 +64,10 @@ def beside_sysid(read: Read) -> str:
     """Return the diagnosis next to mujoco.sysid on one campaign, with time and held-out error."""
     found = read("diagnosis")
     ours, theirs = found["diagnosis"], found["mujoco_sysid"]
-    rows = [
-        [
-            f"{title}, all {found['seconds']:.0f} s of recordings",
-            *(f"{side['whole'][key]:.0f} s" for side in (ours, theirs)),
-        ]
-        for title, key in (("processor time", "cpu_s"), ("wall time", "wall_s"))
-    ]
+    rows = []
+    for title, key in (("processor time", "cpu_s"), ("wall time", "wall_s")):
+        times = (f"{side['whole'][key]:.0f} s" for side in (ours, theirs))
+        rows.append([f"{title}, all {found['seconds']:.0f} s of recordings", *times])
     for title, stage, scale in (("pressure, kPa", "pressure", 1.0), ("link ends, mm", "arm", 1e3)):
         pairs = ([scale * side[when][stage] for when in ("nominal", "held_out")] for side in (ours, theirs))
         rows.append([f"{title}: before, left out", *(", ".join(f"{x:.3g}" for x in pair) for pair in pairs)])

@@ -7,11 +7,7 @@ Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table with a head and rows.
-
-    Raises:
-        ValueError: A row does not fit the head.
-    """
+    """Return a table with a head and rows. Raises ValueError for a row that does not fit the head."""
     lines = [_line(head), "|" + "---|" * len(head)]
     for row in rows:
         if len(row) != len(head):

@@ -78,11 +78,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
 
 
 def depends_on(name: str) -> tuple[str, ...]:
-    """Return the paths that a result depends on.
-
-    Raises:
-        KeyError: DEPENDS has no entry for the result; add one.
-    """
+    """Return the paths that a result depends on. Raises KeyError if DEPENDS has no entry for it; add one."""
     return DEPENDS[name] if name in DEPENDS else DEPENDS[name.partition("-")[0]]
 
 
@@ -108,13 +104,7 @@ def write(file: Path | None, figures: Mapping[str, Any], command: str | None = N
 
 
 def report(table: str, figures: Mapping[str, Any], file: Path | None) -> None:
-    """Print figures as the pages show them and write them if a file is given.
-
-    Args:
-        table: Name of a table of benchmarks/tables.py that needs one result.
-        figures: Content of that result.
-        file: Target as in `write`.
-    """
+    """Print figures as a table of benchmarks/tables.py that needs no other result, and write them as `write` does."""
     # Imports most of softarm, which the program of the mutants must not.
     from benchmarks.tables import TABLES
 
@@ -145,8 +135,7 @@ def read(name: str) -> dict[str, Any]:
 def age(about: Mapping[str, Any], root: Path = CHECKOUT) -> int:
     """Return how many commits have changed the code that a result depends on since it was measured.
 
-    Raises:
-        subprocess.CalledProcessError: The checkout does not have the result's revision (a shallow clone).
+    Raises CalledProcessError if the checkout does not have the result's revision (a shallow clone).
     """
     span = f"{about['revision']}..HEAD"
     # softarm/ was at the top level of older revisions.

@@ -9,6 +9,7 @@ from softarm.evaluation.table import CEILING, HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
 BRIDGED = ("bridging", "bridging-payload")
+_SPREAD = "{p50:.0f} / {p99:.0f} / {max:.0f}"
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.evaluation.table.Figure
 
 
@@ -236,25 +237,26 @@ def stop(read: Read) -> str:
     rows = []
     for attack, ways in read("stop")["answer_ms"].items():
         cells = [_answered(ways[way]) for way in ("stop", "api")]
-        unanswered = sum(ways[way]["unanswered"] for way in ("stop", "api"))
-        rows.append([attack, *cells, f"{unanswered} of {sum(ways[way]['asked'] for way in ('stop', 'api'))}"])
+        unanswered, asked = (sum(ways[way][key] for way in ("stop", "api")) for key in ("unanswered", "asked"))
+        rows.append([attack, *cells, f"{unanswered} of {asked}"])
     return markdown(("p50 / p99 / max (ms), under", "stop port", "REST", "unanswered"), rows)
 
 
 def _answered(found: Mapping[str, Any]) -> str:
-    return "none" if found["p50"] is None else "{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found)
+    return "none" if found["p50"] is None else _SPREAD.format(**found)
 
 
 def bridging(read: Read) -> str:
     """Return flights with dropouts of motion capture, by reaction."""
     ways = {"stopped": "none", "held": "last frame held", "bridged": "bridged", "default": "as configured by default"}
-    found = [each for name in BRIDGED for each in read(name)["flights"]]
-    flights = {(each["body"], each["dropout_ms"], each["way"]): each for each in found}
-    rows = []
-    for body, dropout_ms in dict.fromkeys(key[:2] for key in flights):
-        came = [flights[body, dropout_ms, way] for way in ways]
-        cells = [f"{each['reached']}, {each['stopped']}" for each in came]
-        rows.append([body, f"{dropout_ms} ms" if dropout_ms else "none", *cells])
+    cells: dict[tuple[str, int], dict[str, str]] = {}
+    for flown in (each for name in BRIDGED for each in read(name)["flights"]):
+        cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = "{reached}, {stopped}".format(
+            **flown
+        )
+    rows = [
+        [body, f"{ms} ms" if ms else "none", *(by_way[way] for way in ways)] for (body, ms), by_way in cells.items()
+    ]
     return markdown(("body", "drop-outs of", *(f"{way}: reached, stopped" for way in ways.values())), rows)
 
 
@@ -272,49 +274,43 @@ def estimates(read: Read) -> str:
     return markdown(("body", "estimate: tip off by (RMS, mm) after", *ticks), rows)
 
 
+_BODIES = {
+    "simulated": "our simulator, lockstep",
+    "reality": "`reality/`, lockstep",
+    "outside": "`validation/outside/`, over the wires",
+}
+
+
 def chained(read: Read) -> str:
     """Return goals without rest, by body."""
     rows = []
-    for body, what in (
-        ("simulated", "our simulator, lockstep"),
-        ("reality", "`reality/`, lockstep"),
-        ("outside", "`validation/outside/`, over the wires"),
-    ):
+    for body, title in _BODIES.items():
         found = read(f"chained-{body}")
-        stops, timing = found["stops"], found.get("timing")
-        missed = "" if timing is None else f"{timing['late_steps']} of {timing['steps']}, {timing['missed_ticks']}"
+        reached = ("{reached} of {goals}", "{trained_reached} of {trained_goals}")
+        cart = (f"{1e3 * found['max_cart_m']:.0f} mm", str(found["excursions"]), str(found["crashes"]))
+        missed = "{late_steps} of {steps}, {missed_ticks}".format(**found["timing"]) if "timing" in found else ""
         rows.append(
-            [
-                what,
-                f"{found['reached']} of {found['goals']}",
-                f"{found['trained_reached']} of {found['trained_goals']}",
-                f"{1e3 * found['max_cart_m']:.0f} mm",
-                str(found["excursions"]),
-                str(found["crashes"]),
-                str(sum(stops.values())),
-                missed,
-            ]
+            [title, *(each.format(**found) for each in reached), *cart, str(sum(found["stops"].values())), missed]
         )
     head = ("body", "reached", "where it was trained", "farthest cart", "beyond 255 mm", "at the end", "stops unasked")
     return markdown((*head, "late steps, missed ticks"), rows)
 
 
+_DEAD = {
+    "stop_received_ms": "last command (ms)",
+    "vented_ms": "valve open (ms)",
+    "travel_mm": "travel (mm)",
+    "farthest_mm": "from the middle (mm)",
+}
+
+
 def dead_daemon(read: Read) -> str:
     """Return how far the cart moves when a process ends or freezes."""
-    rows = []
-    for name, found in read("dead-daemon")["cases"].items():
-        measured = ("stop_received_ms", "vented_ms", "travel_mm", "farthest_mm")
-        cells = ["{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found[key]) for key in measured]
-        rows.append([name, *cells, f"{found['crashes']} of {found['trials']}"])
-    heads = (
-        "p50 / p99 / max",
-        "last command (ms)",
-        "valve open (ms)",
-        "travel (mm)",
-        "from the middle (mm)",
-        "at the end stop",
-    )
-    return markdown(heads, rows)
+    rows = [
+        [name, *(_SPREAD.format(**found[key]) for key in _DEAD), "{crashes} of {trials}".format(**found)]
+        for name, found in read("dead-daemon")["cases"].items()
+    ]
+    return markdown(("p50 / p99 / max", *_DEAD.values(), "at the end stop"), rows)
 
 
 def simulator(read: Read) -> str:
