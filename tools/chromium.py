@@ -24,11 +24,7 @@ def found() -> str | None:
 
 @contextlib.contextmanager
 def opened() -> "Iterator[Browser]":
-    """Run Chromium while the context lasts.
-
-    Raises:
-        click.ClickException: Chromium or Playwright is not installed.
-    """
+    """Run Chromium while the context lasts. Raises ClickException if it is not installed."""
     from playwright.sync_api import sync_playwright
 
     if (path := found()) is None:
@@ -44,11 +40,7 @@ def opened() -> "Iterator[Browser]":
 
 
 def keep(page: "Page", path: Path) -> None:
-    """Write a screenshot as PNG and print its size.
-
-    Raises:
-        click.ClickException: The file exceeds `BYTES_MAX`.
-    """
+    """Write a screenshot as PNG and print its size. Raises ClickException above `BYTES_MAX`."""
     from PIL import Image
 
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")

@@ -9,6 +9,7 @@ read and think is not included. Needs Chromium and Playwright.
 
 import os
 import re
+import shlex
 import signal
 import subprocess
 import tempfile
@@ -27,24 +28,21 @@ _SERVING = re.compile(r"serving (http://\S+)")
 AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}
 
 
-def typed(command: str, folder: Path, environment: dict[str, str] | None = None) -> None:
-    """Run a command as a user would type it.
-
-    Raises:
-        ClickException: The command failed; with its output.
-    """
+def typed(command: str, folder: Path, environment: dict[str, str] | None = None) -> str:
+    """Run a command as a user would type it and return its output. Raises ClickException if it fails."""
     done = subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise click.ClickException(f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+    return done.stdout
 
 
 @contextmanager
-def daemon(folder: Path, environment: dict[str, str]) -> Iterator[str]:
-    """Run `softarm run --simulated` on a free port while the context lasts and yield its URL."""
+def daemon(folder: Path, environment: dict[str, str], command: str = "softarm run --simulated") -> Iterator[str]:
+    """Run the daemon on a free port while the context lasts and yield its URL."""
     ports = folder / "ports.yaml"
     ports.write_text("api: {port: 0, stop_port: 0}\n", encoding="utf-8")
-    command = ["softarm", "run", "--simulated", "--config", str(ports)]
-    with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as running:
+    program = [*shlex.split(command), "--config", str(ports)]
+    with subprocess.Popen(program, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
             found = next((found for line in running.stdout if (found := _SERVING.search(line))), None)
@@ -56,12 +54,7 @@ def daemon(folder: Path, environment: dict[str, str]) -> Iterator[str]:
 
 
 def click_a_target(url: str, seen: str) -> None:
-    """Arm in the browser, click into the drawing and wait for the result; raise a time-out otherwise.
-
-    Args:
-        url: Address of the dashboard.
-        seen: Regular expression of the expected text about the goal.
-    """
+    """Arm in the dashboard at `url`, click into the drawing and wait until the text about the goal matches `seen`."""
     from playwright.sync_api import expect
 
     with chromium.opened() as browser:

@@ -22,11 +22,7 @@ _TABLE = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.
 
 
 def rendered(page: str) -> str:
-    """Return a page with all its tables filled from the stored results.
-
-    Raises:
-        KeyError: The page names a table that does not exist.
-    """
+    """Return a page with all its tables filled from the stored results. Raises KeyError for an unknown table."""
     return _TABLE.sub(lambda found: f"{found[1]}{_table(found[2])}{found[3]}", page)
 
 

@@ -1,9 +1,8 @@
 """Every command of the tutorial runs, in its order, in an empty folder."""
 
+import contextlib
 import os
 import re
-import signal
-import subprocess
 import sys
 import sysconfig
 import time
@@ -12,9 +11,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tools.first_use import daemon, typed
+
 PAGE = Path(__file__).parents[2] / "docs/tutorial.md"
 _BLOCK = re.compile(r'^```sh title="([^"]+)"\n(.*?)^```', re.MULTILINE | re.DOTALL)
-_SERVING = re.compile(r"serving (http://\S+)")
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +26,6 @@ class Terminals:
         self._folder = folder
         self._plugins = folder / "plugins"
         self._plugins.mkdir()
-        (folder / "ports.yaml").write_text("api: {port: 0, stop_port: 0}\n")
         # The test environment replaces the reader's own; installed packages go to a folder of their own.
         path = os.pathsep.join([str(self._plugins), os.environ.get("PYTHONPATH", "")])
         scripts = folder / "bin"
@@ -36,51 +35,26 @@ class Terminals:
             (scripts / name).chmod(0o755)
         search = os.pathsep.join([str(scripts), sysconfig.get_path("scripts"), os.environ["PATH"]])
         self._environment = {**os.environ, "PYTHONPATH": path, "PATH": search}
-        self._running: subprocess.Popen[str] | None = None
+        self._running = contextlib.ExitStack()
 
     def start(self, command: str) -> None:
-        """Start a command that runs until Ctrl-C, on a free port."""
+        """Start a daemon that runs until Ctrl-C, on a free port."""
         self.interrupt()
-        self._running = subprocess.Popen(
-            f"exec {command} --config ports.yaml",
-            shell=True,
-            cwd=self._folder,
-            env=self._environment,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._running.stdout is not None
-        for line in self._running.stdout:
-            if found := _SERVING.search(line):
-                self._environment["SOFTARM_URL"] = found[1]
-                _until_it_can_be_armed(found[1])
-                return
-        raise AssertionError(f"{command} ended before it served")
+        url = self._running.enter_context(daemon(self._folder, self._environment, command))
+        self._environment["SOFTARM_URL"] = url
+        deadline = time.monotonic() + 120
+        while httpx.get(f"{url}/api/status", trust_env=False).json().get("arming_refusals", ["not yet"]):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
 
     def run(self, command: str) -> str:
         """Run a command to its end and return its output."""
         install = f"pip install -q --no-deps --no-build-isolation -t {self._plugins} ./"
-        command = command.replace("pip install --editable ", install)
-        done = subprocess.run(
-            command, shell=True, cwd=self._folder, env=self._environment, capture_output=True, text=True, timeout=600
-        )
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        return done.stdout
+        return typed(command.replace("pip install --editable ", install), self._folder, self._environment)
 
     def interrupt(self) -> None:
         """Send Ctrl-C to the running command."""
-        if self._running is not None:
-            self._running.send_signal(signal.SIGINT)
-            self._running.communicate(timeout=60)
-            self._running = None
-
-
-def _until_it_can_be_armed(url: str) -> None:
-    """Wait until the daemon has no reason against arming."""
-    deadline = time.monotonic() + 120
-    while httpx.get(f"{url}/api/status", trust_env=False).json().get("arming_refusals", ["not yet"]):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+        self._running.close()
 
 
 @pytest.fixture
