@@ -49,7 +49,8 @@ def main(minutes: float, only: tuple[str, ...], first: int, case: int | None, js
             for so_far in fuzz(name, share_s, first):
                 found[name] = so_far
                 shown.show(number * share_s + time.monotonic() - begun_s, text=name)
-    results.write(json_file, {"parsers": {name: each.as_json() for name, each in found.items()}})
+    as_json = {name: {"cases": of.cases, "findings": [f._asdict() for f in of.findings]} for name, of in found.items()}
+    results.write(json_file, {"parsers": as_json})
     for name, each in found.items():
         click.echo(f"{name:20} {each.cases:10,} cases, {len(each.findings)} findings")
     findings = [finding for each in found.values() for finding in each.findings]

@@ -37,10 +37,6 @@ class Fuzzed(NamedTuple):
     cases: int
     findings: list[Finding]
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the result as plain data."""
-        return {"cases": self.cases, "findings": [each._asdict() for each in self.findings]}
-
 
 @functools.cache
 def made(name: str) -> Parser:

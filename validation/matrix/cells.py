@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import product
 
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M, RAIL_TRAVEL_M
 from validation.matrix.faulty_policies import FAULTS
@@ -81,11 +82,7 @@ class Outcome:
 
 def cells() -> Iterator[Cell]:
     """Yield all cells in the order in which they are flown."""
-    for device in DEVICES:
-        for phase in PHASES:
-            for fault in Fault:
-                if exists(device, phase, fault):
-                    yield Cell(device, phase, fault.value)
+    yield from (Cell(*each) for each in product(DEVICES, PHASES, Fault) if exists(*each))
     yield from (Cell("policy", "step", fault) for fault in FAULTS)
     yield Cell("disk", "write", "full")
     yield from (Cell("rail link", "process", fault) for fault in ("SIGSTOP", "kill -9"))

@@ -36,11 +36,7 @@ class Found(NamedTuple):
 
 
 def prove(target: Target, jobs: int, sample: int | None = None, seed: int = 0) -> Found:
-    """Try the mutants of a module, or a sample of them, and return the results.
-
-    Raises:
-        FailsUnchanged: The tests fail without a change.
-    """
+    """Try the mutants of a module, or a sample of them. Raises FailsUnchanged as `trials` does."""
     start_s = time.monotonic()
     known = explained.read().get(target.module, {})
     chosen = every = mutants(target.source)

@@ -10,13 +10,7 @@ FILE = Path(__file__).with_name("explained.yaml")
 
 
 def read() -> dict[str, dict[Key, str]]:
-    """Return the reasons of the file: module -> key of the mutant -> reason.
-
-    Raises:
-        yaml_lines.FileError: The file cannot be read.
-        KeyError: An entry is incomplete.
-        ValueError: An entry has no reason.
-    """
+    """Return the reasons of the file: module -> key of the mutant -> reason. Raises FileError, KeyError, ValueError."""
     modules = yaml_lines.read(FILE, "it lists the mutants that may live").data or {}
     return {
         module: {key: entry["why"] for entry in entries for key in _keys(entry)} for module, entries in modules.items()

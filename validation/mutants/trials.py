@@ -48,11 +48,7 @@ class _Run(NamedTuple):
 
 
 def trials(target: Target, mutants: Sequence[Mutant], jobs: int) -> list[End]:
-    """Return the end of each mutant.
-
-    Raises:
-        FailsUnchanged: The tests fail without a change.
-    """
+    """Return the end of each mutant. Raises FailsUnchanged if the tests fail without a change."""
     with ProcessPoolExecutor(1, get_context("spawn")) as fresh:  # forks need a process without threads
         return fresh.submit(_try_all, target, mutants, jobs).result()
 

@@ -75,12 +75,8 @@ def _metadata() -> Parser:
     tree = json.loads(entry.value)
 
     def draw(random: Random) -> bytes:
-        changed = onnx.ModelProto()
-        changed.CopyFrom(model)
-        entry = next(each for each in changed.metadata_props if each.key == METADATA_KEY)
         entry.value = mutate.to_json(random, mutate.of_tree(random, tree)).decode("utf-8", "replace")
-        data: bytes = changed.SerializeToString()
-        return data
+        return bytes(model.SerializeToString())
 
     return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
 
@@ -130,21 +126,16 @@ def _checkpoint() -> Parser:
 
     shape = NetworkShape(mlp=(8,), state=8)
     network = PolicyNetwork(shape)
-    content = {
-        "settings": {},
-        "task": {},
-        "seed": 1,
-        "curve": [],
-        "average": network.state_dict(),
-        "network": asdict(shape),
-    }
+    plain = {"settings": {}, "task": {}, "seed": 1, "curve": [], "network": asdict(shape)}
+    average = {"average": network.state_dict()}
+    content = plain | average
 
     def draw(random: Random) -> bytes:
         path = folder() / "drawn.pt"
         made = content
         if random.random() < 0.6:
-            plain = mutate.of_tree(random, {key: value for key, value in content.items() if key != "average"})
-            made = plain | {"average": content["average"]} if isinstance(plain, dict) else plain
+            changed = mutate.of_tree(random, plain)
+            made = changed | average if isinstance(changed, dict) else changed
         try:
             checkpoint.save(path, made)
         except TypeError:  # the case is not a dict
