@@ -3,7 +3,6 @@
 import importlib
 from pathlib import Path
 
-import click
 import pytest
 from click.testing import CliRunner
 
@@ -16,13 +15,8 @@ STARTED = sorted(
 )
 
 
-@pytest.fixture(params=STARTED)
-def main(request) -> click.Command:
-    return importlib.import_module(request.param).main
-
-
-def test_help_shows_an_example_of_itself(main):
-    out = CliRunner().invoke(main, ["--help"])
+@pytest.mark.parametrize("name", STARTED)
+def test_help_shows_an_example_of_itself(name):
+    out = CliRunner().invoke(importlib.import_module(name).main, ["--help"])
     assert out.exit_code == 0
-    name = main.callback.__module__
-    assert f"python -m {name}" in out.output.partition("Example")[2], name
+    assert f"python -m {name}" in out.output.partition("Example")[2]
