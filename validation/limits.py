@@ -20,7 +20,7 @@ from benchmarks import results
 from benchmarks.ticks import Ticks
 from softarm.common.processes import as_they_come, bar, cores
 from softarm.daemon.control.records import Mode
-from softarm.daemon.limits.findings import EXCITATION, RailFindings, findings
+from softarm.daemon.limits.findings import EXCITATION, findings
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.independent import IndependentBody
@@ -150,21 +150,14 @@ def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.
     return Flight(motion(ticks, config), body.farthest_m, max(stops, 0))
 
 
-def measured(robot: Robot) -> RailFindings:
-    """Return the findings of the robot's owner: an excitation and a minute of careful flights."""
-    pull = 0.5 * robot.ramp_m_s2
-    careful = robot.config(
-        latency_s=0.15, braking_m_s2=0.25 * robot.ramp_m_s2, surge_m_s2=robot.ramp_m_s2 + 2 * pull, velocity_max_m_s=0.8
-    )
+def tried(robot: Robot) -> dict[str, Any]:
+    """Measure a robot as its owner does, by an excitation and careful flights; patch, attack, return plain values."""
+    ramp = robot.ramp_m_s2
+    careful = robot.config(latency_s=0.15, braking_m_s2=0.25 * ramp, surge_m_s2=2 * ramp, velocity_max_m_s=0.8)
     played = fly(robot, careful, Excite(EXCITATION), PLAYED_S, None)
     flown = fly(robot, careful, registry.load("reach"), REACH_S, np.random.default_rng(1))
     # Compared with the mildest limits, so that the whole patch comes from the measurement.
-    return findings([played.motion, flown.motion], robot.config(latency_s=0.005))
-
-
-def tried(robot: Robot) -> dict[str, Any]:
-    """Measure, patch and attack one robot; return plain values."""
-    found = measured(robot)
+    found = findings([played.motion, flown.motion], robot.config(latency_s=0.005))
     attacked = fly(robot, found.patched, Attack(2), ATTACK_S, None)
     seen = found.measured
     bounds = {"latency_s": seen.latency, "braking_m_s2": seen.braking, "surge_m_s2": seen.surge, "drag_m_s": seen.drag}
