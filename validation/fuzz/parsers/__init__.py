@@ -1,17 +1,6 @@
 """Every parser of external input, with valid examples and the errors that it may raise."""
 
-from collections.abc import Callable
-
-from validation.fuzz.parsers import files, logs, policies, rest, wires
-from validation.fuzz.parsers.base import Parser
-
-# Name -> factory, since some parsers import large packages.
-PARSERS: dict[str, Callable[[], Parser]] = {
-    **wires.PARSERS,
-    **rest.PARSERS,
-    **files.PARSERS,
-    **logs.PARSERS,
-    **policies.PARSERS,
-}
+from validation.fuzz.parsers import files, logs, policies, rest, wires  # noqa: F401  each registers its parsers
+from validation.fuzz.parsers.base import PARSERS, Parser
 
 __all__ = ["PARSERS", "Parser"]

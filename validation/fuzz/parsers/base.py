@@ -18,6 +18,19 @@ class Parser(NamedTuple):
     errors: tuple[type[Exception], ...]
 
 
+PARSERS: dict[str, Callable[[], Parser]] = {}  # by name; factories, since some parsers import large packages
+
+
+def parser(name: str) -> Callable[[Callable[[], Parser]], Callable[[], Parser]]:
+    """Register the factory of a parser under a name."""
+
+    def register(make: Callable[[], Parser]) -> Callable[[], Parser]:
+        PARSERS[name] = make
+        return make
+
+    return register
+
+
 @cache
 def folder() -> Path:
     """Return the temporary folder of this process, which is removed at its end."""

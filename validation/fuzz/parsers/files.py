@@ -9,7 +9,7 @@ import yaml
 
 from softarm.common.revision import CHECKOUT
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import Parser, folder, written
+from validation.fuzz.parsers.base import Parser, folder, parser, written
 
 _TRIAL = "kind: chirp\nrail: held\n"
 _SWEEP = """\
@@ -83,6 +83,7 @@ def _yaml(texts: list[str], take: Callable[[Path], object], error: type[Exceptio
     return Parser(lambda random: yaml_text(random, texts), lambda data: take(written("file.yaml", data)), (error,))
 
 
+@parser("yaml.configuration")
 def _configuration() -> Parser:
     from softarm.daemon.config import configuration
 
@@ -94,6 +95,7 @@ def _configuration() -> Parser:
     return _yaml(texts, take, configuration.ConfigurationError)
 
 
+@parser("yaml.model")
 def _model() -> Parser:
     from softarm.simulator import model_file
 
@@ -130,6 +132,7 @@ def _table(suffix: str, write: Callable[[Path, dict[str, Any]], object]) -> Pars
     return Parser(draw, take, (TrialError,))
 
 
+@parser("yaml.stage")
 def _csv() -> Parser:
     import numpy as np
 
@@ -139,12 +142,14 @@ def _csv() -> Parser:
     return _table(".csv", write)
 
 
+@parser("table.mat")
 def _matlab() -> Parser:
     from scipy.io import savemat
 
     return _table(".mat", savemat)
 
 
+@parser("table.parquet")
 def _parquet() -> Parser:
     import pyarrow
     from pyarrow import parquet
@@ -152,6 +157,7 @@ def _parquet() -> Parser:
     return _table(".parquet", lambda path, columns: parquet.write_table(pyarrow.table(columns), path))
 
 
+@parser("csv.trial")
 def _trial() -> Parser:
     """Return the parser of a folder of CSV files as another program records them."""
     from softarm.diagnosis.data import folder as folders
@@ -179,12 +185,14 @@ def _trial() -> Parser:
     return Parser(draw, take, (TrialError,))
 
 
+@parser("yaml.sweep")
 def _sweep() -> Parser:
     from softarm.training.run import sweep
 
     return _yaml([_SWEEP], sweep.load, sweep.SweepError)
 
 
+@parser("json.verdict")
 def _verdict() -> Parser:
     """Return the parser of a verdict as `softarm excite --plan` reads it."""
     from pydantic import ValidationError
@@ -209,6 +217,7 @@ def _verdict() -> Parser:
     )
 
 
+@parser("json.latch")
 def _latch() -> Parser:
     """Return the parser of a stored emergency stop, which only a valid file may declare absent."""
     from softarm.daemon.stop import latch
@@ -221,16 +230,3 @@ def _latch() -> Parser:
             assert b'"stopped": null' in content
 
     return Parser(lambda random: mutate.of_bytes(random, kept), take, (ValueError, RecursionError))
-
-
-PARSERS: dict[str, Callable[[], Parser]] = {
-    "yaml.configuration": _configuration,
-    "yaml.model": _model,
-    "yaml.stage": _csv,
-    "yaml.sweep": _sweep,
-    "csv.trial": _trial,
-    "table.mat": _matlab,
-    "table.parquet": _parquet,
-    "json.verdict": _verdict,
-    "json.latch": _latch,
-}

@@ -1,12 +1,11 @@
 """Recordings: MCAP files as read for listing, recovery, replay and diagnosis."""
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from random import Random
 
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import Parser, folder, written
+from validation.fuzz.parsers.base import Parser, folder, parser, written
 
 
 @cache
@@ -44,6 +43,7 @@ def _draw(random: Random) -> bytes:
     return mutate.of_bytes(random, examples())
 
 
+@parser("log.listing")
 def _listed() -> Parser:
     from softarm.recordings.listing import listing
 
@@ -54,6 +54,7 @@ def _listed() -> Parser:
     return Parser(_draw, take, ())
 
 
+@parser("log.recover")
 def _recovered() -> Parser:
     """Return the parser of `softarm logs recover`: the file is complete afterwards, or rejected with a message."""
     from softarm.recordings import finishing, mcap_file
@@ -67,6 +68,7 @@ def _recovered() -> Parser:
     return Parser(_draw, take, (mcap_file.LogError,))
 
 
+@parser("log.replay")
 def _replayed() -> Parser:
     """Return the parser of `softarm replay`: a log's configuration and every tick of it."""
     from softarm.daemon.logbook import logs
@@ -82,6 +84,7 @@ def _replayed() -> Parser:
     return Parser(_draw, lambda data: take(written("replay.mcap", data)), (LogError, PolicyError))
 
 
+@parser("log.diagnose")
 def _diagnosed() -> Parser:
     from softarm.diagnosis.data import mcap
     from softarm.diagnosis.data.trials import TrialError
@@ -89,6 +92,7 @@ def _diagnosed() -> Parser:
     return Parser(_draw, lambda data: mcap.read(written("trial.mcap", data)), (TrialError,))
 
 
+@parser("log.limits")
 def _limits() -> Parser:
     """Return the parser of `softarm check --logs`: the limits of the rail that recordings show."""
     from softarm.daemon.limits.findings import findings
@@ -99,12 +103,3 @@ def _limits() -> Parser:
         return findings(rail_motions([written("motion.mcap", data)])).patch()
 
     return Parser(_draw, take, (TrialError,))
-
-
-PARSERS: dict[str, Callable[[], Parser]] = {
-    "log.listing": _listed,
-    "log.recover": _recovered,
-    "log.replay": _replayed,
-    "log.diagnose": _diagnosed,
-    "log.limits": _limits,
-}

@@ -1,13 +1,12 @@
 """Policy files: ONNX models, planned trajectories, checkpoints of training."""
 
 import zipfile
-from collections.abc import Callable
 from dataclasses import asdict
 from io import BytesIO
 from random import Random
 
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import Parser, folder, written
+from validation.fuzz.parsers.base import Parser, folder, parser, written
 
 
 def _model() -> bytes:
@@ -23,6 +22,7 @@ def _changed_ends(random: Random, model: bytes, bytes_of_end: int) -> bytes:
     return model[:-bytes_of_end] + mutate.of_bytes(random, [model[-bytes_of_end:]])
 
 
+@parser("onnx.graph")
 def _graph() -> Parser:
     """Return the check of an ONNX file before it runs."""
     from softarm.policies import onnx_graph
@@ -32,6 +32,7 @@ def _graph() -> Parser:
     return Parser(lambda random: mutate.of_bytes(random, examples), onnx_graph.check, (onnx_graph.GraphError,))
 
 
+@parser("onnx.model")
 def _onnx() -> Parser:
     """Return the parser of a whole model, including its golden run."""
     from softarm.policies.base import PolicyError
@@ -47,6 +48,7 @@ def _onnx() -> Parser:
     return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
 
 
+@parser("onnx.weights")
 def _weights() -> Parser:
     """Return the parser of a model whose training continues."""
     from softarm.training.record.checkpoint import CheckpointError
@@ -60,6 +62,7 @@ def _weights() -> Parser:
     )
 
 
+@parser("onnx.metadata")
 def _metadata() -> Parser:
     """Return the parser of a model's metadata with changed meaning."""
     import json
@@ -81,6 +84,7 @@ def _metadata() -> Parser:
     return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
 
 
+@parser("npz.plans")
 def _plans() -> Parser:
     """Return the parser of planned trajectories, a zip of arrays with a wrong zip, header or number."""
     import numpy as np
@@ -118,6 +122,7 @@ def _plans() -> Parser:
     return Parser(draw, lambda data: Trajectory(str(written("plans.npz", data))), (PolicyError,))
 
 
+@parser("pt.checkpoint")
 def _checkpoint() -> Parser:
     import torch
 
@@ -144,13 +149,3 @@ def _checkpoint() -> Parser:
         return data if made is not content else mutate.of_bytes(random, [data])
 
     return Parser(draw, lambda data: checkpoint.load_policy(written("taken.pt", data)), (checkpoint.CheckpointError,))
-
-
-PARSERS: dict[str, Callable[[], Parser]] = {
-    "onnx.graph": _graph,
-    "onnx.model": _onnx,
-    "onnx.metadata": _metadata,
-    "onnx.weights": _weights,
-    "npz.plans": _plans,
-    "pt.checkpoint": _checkpoint,
-}

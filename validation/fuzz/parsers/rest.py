@@ -22,7 +22,7 @@ from softarm.policies.hold import Hold
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Api, Config
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import Parser
+from validation.fuzz.parsers.base import Parser, parser
 
 PATIENCE_S = 10.0
 _ALLOWED = {101, 200, 400, 403, 404, 405, 408, 409, 411, 413, 415, 422, 426, 431, 503}
@@ -124,6 +124,7 @@ def _port(start: Callable[[], int], next_path: bytes) -> Parser:
     return Parser(_draw, take, ())
 
 
+@parser("api.server")
 def _server() -> Parser:
     logging.getLogger("uvicorn").setLevel(logging.CRITICAL)
     robot = _Robot()
@@ -131,9 +132,7 @@ def _server() -> Parser:
     return _port(ApiServer(Api(port=0), create_app(context)).start, b"/api/disarm")
 
 
+@parser("stop.listener")
 def _stop() -> Parser:
     robot = _Robot()
     return _port(StopListener(Api(port=0), robot.inbox, robot.snapshot).start, b"/api/stop")
-
-
-PARSERS: dict[str, Callable[[], Parser]] = {"api.server": _server, "stop.listener": _stop}

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import socket
-from collections.abc import Callable
 from random import Random
 from typing import Any
 
@@ -16,7 +15,7 @@ from softarm.drivers.regulator.driver import Conversation
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.messages import BODY_NAMES, Pose
 from validation.fuzz import mutate
-from validation.fuzz.parsers.base import Parser
+from validation.fuzz.parsers.base import Parser, parser
 
 _MESSAGES: tuple[teensy.Message, ...] = (
     teensy.Hello(),
@@ -27,6 +26,7 @@ _MESSAGES: tuple[teensy.Message, ...] = (
 )
 
 
+@parser("regulator.stream")
 def _regulator() -> Parser:
     def draw(random: Random) -> list[bytes]:
         """A stream in pieces: frames around bodies that are right, or wrong but framed, and noise."""
@@ -55,6 +55,7 @@ def _regulator() -> Parser:
     return Parser(draw, take, ())
 
 
+@parser("regulator.message")
 def _message() -> Parser:
     bodies = [teensy.encode(each, 7, 5) for each in _MESSAGES]
     return Parser(lambda random: mutate.of_bytes(random, bodies), teensy.decode, (ValueError,))
@@ -70,6 +71,7 @@ def _answers() -> list[bytes]:
     return [*values, *done, dryve.encode_exception(7, 6), dryve.encode_abort(7, 0x06090030)]
 
 
+@parser("rail.answer")
 def _answer() -> Parser:
     answers = _answers()
 
@@ -85,12 +87,14 @@ def _answer() -> Parser:
     return Parser(draw, take, (dryve.DryveRefusal, dryve.DryveMismatch))
 
 
+@parser("rail.request")
 def _request() -> Parser:
     requests = [dryve.encode_request(7, entry) for entry in _ENTRIES]
     requests += [dryve.encode_request(9, dryve.TARGET_VELOCITY, -5), dryve.encode_request(9, dryve.CONTROLWORD, 15)]
     return Parser(lambda random: mutate.of_bytes(random, requests), dryve.decode_request, (ValueError,))
 
 
+@parser("rail.link")
 def _link() -> Parser:
     """Return the parser of the rail's connection to a drive that sends anything and hangs up."""
     answers = [dryve.encode_acknowledgement(dryve.ModbusRequest(n, 0x60FF, 0, 4)) for n in (1, 2)] + _answers()
@@ -114,6 +118,7 @@ def _link() -> Parser:
     return Parser(draw, take, (EOFError, OSError))
 
 
+@parser("rail.packets")
 def _packets() -> Parser:
     """Return the parser of messages between the daemon and the rail's process."""
     reading = pair.Reading(5, 0.1, -0.2, True, True, 1, 2, ("E11 following error",))
@@ -130,6 +135,7 @@ def _packets() -> Parser:
     return Parser(lambda random: mutate.of_bytes(random, packets), take, ())
 
 
+@parser("mocap.payload")
 def _mocap() -> Parser:
     bodies = [Pose(0.01 * i, 0.9, -0.1) if i != 3 else payload.LOST for i in range(len(BODY_NAMES))]
     encoded = payload.encode(7, 81_234_567_890, bodies)
@@ -145,6 +151,7 @@ def _mocap() -> Parser:
     return Parser(draw, lambda data: payload.decode(data[: payload.MAX_BYTES], 5), (ValueError,))
 
 
+@parser("twin.fault")
 def _fault() -> Parser:
     trees: list[Any] = [
         {"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5},
@@ -157,15 +164,3 @@ def _fault() -> Parser:
         return mutate.to_json(random, mutate.of_tree(random, random.choice(trees)))
 
     return Parser(draw, lambda data: Faults(lambda: 0).apply(data), (ValueError,))
-
-
-PARSERS: dict[str, Callable[[], Parser]] = {
-    "regulator.stream": _regulator,
-    "regulator.message": _message,
-    "rail.answer": _answer,
-    "rail.request": _request,
-    "rail.link": _link,
-    "rail.packets": _packets,
-    "mocap.payload": _mocap,
-    "twin.fault": _fault,
-}
