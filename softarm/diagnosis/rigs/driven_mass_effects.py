@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import of_stage, source
+from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
 # Share of the usual force: a friction that matters.
@@ -71,12 +71,11 @@ def driven_mass_effects(stage: str, scales: DrivenMassScales, speed_alone: bool)
 
 
 def _drive(s: DrivenMassScales) -> Iterator[Effect]:
-    yield Effect(
-        "dead_time",
-        (_delay("from the input to the first force", s),),
+    yield like(
+        "pressure.dead_time",
         "the force comes late",
-        source("pressure.dead_time"),
-        plain="the force on {stage} comes {delay} late",
+        "the force on {stage} comes {delay} late",
+        _delay("from the input to the first force", s),
     )
     yield Effect(
         "deadband",
@@ -93,12 +92,11 @@ def _drive(s: DrivenMassScales) -> Iterator[Effect]:
         plain="the force on {stage} ends at {limit}",
     )
     slowness = min(max(s.step_s, 0.03 * s.period_s), 0.3 * s.period_s)
-    yield Effect(
-        "lag",
-        (strength("time", "s", 0.0, 0.0, s.period_s, slowness, "time constant"),),
+    yield like(
+        "rail.lag",
         "the force follows the input as a first-order lag",
-        source("rail.lag"),
-        plain="the force on {stage} follows with a time constant of {time}",
+        "the force on {stage} follows with a time constant of {time}",
+        strength("time", "s", 0.0, 0.0, s.period_s, slowness, "time constant"),
     )
     yield Effect(
         "gain",
@@ -107,35 +105,29 @@ def _drive(s: DrivenMassScales) -> Iterator[Effect]:
         "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
         plain="the force on {stage} is off by {scale}",
     )
-    yield Effect(
-        "mass",
-        (strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of the mass or inertia"),),
+    yield like(
+        "arm.payload",
         "wrong mass, or a load that the model lacks: x (1 + scale)",
-        source("arm.payload"),
-        plain="the mass of {stage} is off by {scale}",
+        "the mass of {stage} is off by {scale}",
+        strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of the mass or inertia"),
+        name="mass",
     )
 
 
 def _forces(s: DrivenMassScales) -> Iterator[Effect]:
     force, speed, give, usual = s.force, s.speed, GIVE_SHARE * s.travel, USUAL * s.usual
+    half = 0.5 * force
     viscous, drag = f"{s.force_unit} s/{s.length}", f"{s.force_unit} s^2/{s.length}^2"
-    yield Effect(
-        "coulomb_friction",
-        (
-            strength("force", s.force_unit, 0.0, 0.0, 1.5 * force, usual, "either way; up to it the mass stays"),
-            shape("give", s.length, give, 0.0, 100 * give, 2 * give, "travel over which it bends before it slips"),
-        ),
+    yield like(
+        "rail.coulomb_friction",
         "dry friction",
-        source("rail.coulomb_friction"),
-        plain="{stage} has {force} of dry friction",
+        "{stage} has {force} of dry friction",
+        strength("force", s.force_unit, 0.0, 0.0, 1.5 * force, usual, "either way; up to it the mass stays"),
+        shape("give", s.length, give, 0.0, 100 * give, 2 * give, "travel over which it bends before it slips"),
     )
     yield Effect(
         "friction_asymmetry",
-        (
-            strength(
-                "force", s.force_unit, 0.0, -0.5 * force, 0.5 * force, 0.5 * usual, "more forwards, less backwards"
-            ),
-        ),
+        (strength("force", s.force_unit, 0.0, -half, half, 0.5 * usual, "more forwards, less backwards"),),
         "dry friction is larger one way than the other",
         "Olsson et al. 1998, Friction models and friction compensation",
         plain="the dry friction of {stage} differs by direction, {force} either way",
@@ -150,26 +142,25 @@ def _forces(s: DrivenMassScales) -> Iterator[Effect]:
         "Armstrong-Helouvry et al. 1994, A survey of models for the control of machines with friction",
         plain="{stage} sticks: {force} more friction at rest",
     )
-    yield Effect(
-        "damping",
-        (strength("viscous", viscous, 0.0, 0.0, 3 * force / speed, usual / speed, "friction per unit of speed"),),
+    yield like(
+        "rail.coulomb_friction",
         "viscous friction; a motor's back-EMF acts alike",
-        source("rail.coulomb_friction"),
-        plain="{stage} has viscous friction of {viscous}",
+        "{stage} has viscous friction of {viscous}",
+        strength("viscous", viscous, 0.0, 0.0, 3 * force / speed, usual / speed, "friction per unit of speed"),
+        name="damping",
     )
-    yield Effect(
-        "drag",
-        (strength("coefficient", drag, 0.0, 0.0, 3 * force / speed**2, usual / speed**2, "times the speed squared"),),
+    yield like(
+        "arm.drag",
         "quadratic drag",
-        source("arm.drag"),
-        plain="drag slows {stage} at speed",
+        "drag slows {stage} at speed",
+        strength("coefficient", drag, 0.0, 0.0, 3 * force / speed**2, usual / speed**2, "times the speed squared"),
     )
-    yield Effect(
-        "force_offset",
-        (strength("force", s.force_unit, 0.0, -force, force, 0.5 * usual, "forwards"),),
+    yield like(
+        "arm.tilt",
         "a constant force: the rail is tilted, a weight or a spring pulls, or the input's zero is wrong",
-        source("arm.tilt"),
-        plain="a constant force of {force} pulls at {stage}",
+        "a constant force of {force} pulls at {stage}",
+        strength("force", s.force_unit, 0.0, -force, force, 0.5 * usual, "forwards"),
+        name="force_offset",
     )
 
 
@@ -187,27 +178,24 @@ def _sensor(s: DrivenMassScales) -> Iterator[Effect]:
         "standard mechanics (two masses and a spring)",
         plain="a spring between drive and load of {stage} swings at {frequency}",
     )
-    yield Effect(
-        "backlash",
-        (strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),),
+    yield like(
+        "rail.backlash",
         "play at reversals: the drive crosses the gap before the load follows",
-        source("rail.backlash"),
-        plain="{stage} has {gap} of play",
+        "{stage} has {gap} of play",
+        strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),
     )
-    yield Effect(
-        "latency",
-        (_delay("age of a reading beyond its stamp", s),),
+    yield like(
+        "mocap.latency",
         "readings are older than their stamps state",
-        source("mocap.latency"),
-        plain="the readings of {stage} are {delay} older than their stamps",
+        "the readings of {stage} are {delay} older than their stamps",
+        _delay("age of a reading beyond its stamp", s),
     )
     most = 0.2 * s.speed
-    yield Effect(
-        "sensor_bias",
-        (strength("bias", s.speed_unit, 0.0, -most, most, 0.02 * s.speed, "reading minus speed"),),
+    yield like(
+        "pressure.sensor_bias",
         "the speed sensor has a wrong zero",
-        source("pressure.sensor_bias"),
-        plain="the speed sensor of {stage} reads {bias} off",
+        "the speed sensor of {stage} reads {bias} off",
+        strength("bias", s.speed_unit, 0.0, -most, most, 0.02 * s.speed, "reading minus speed"),
     )
 
 

@@ -7,7 +7,7 @@ sizes come from the rig's own recordings.
 from collections.abc import Iterable
 from dataclasses import replace
 
-from softarm.simulator.effect_table import Effect, with_rivals
+from softarm.simulator.effect_table import Effect, Parameter, with_rivals
 from softarm.simulator.effects import REGISTRY
 
 
@@ -26,6 +26,14 @@ def of_stage(stage: str, effects: Iterable[Effect], rivals: Iterable[tuple[str, 
     )
 
 
-def source(name: str) -> str:
-    """Return the source of the soft arm's effect of this name, for a rig's effect with the same law."""
-    return REGISTRY[name].source
+def like(registered: str, meaning: str, plain: str, *parameters: Parameter, name: str = "") -> Effect:
+    """Return an effect with the law, and so with the source, of an effect of the soft arm.
+
+    Args:
+        registered: the soft arm's effect, such as 'pressure.gain'.
+        meaning: what the effect does.
+        plain: the effect in a technician's words.
+        parameters: parameters of the effect.
+        name: name of the effect; by default the second part of `registered`.
+    """
+    return Effect(name or registered.partition(".")[2], parameters, meaning, REGISTRY[registered].source, plain=plain)

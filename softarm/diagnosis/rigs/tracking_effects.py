@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from softarm.diagnosis.rigs.effects import of_stage, source
+from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.diagnosis.rigs.scales import LATEST, SIGMAS, SURE, TrackingScales
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
@@ -49,69 +49,59 @@ def tracking_effects(stage: str, unit: str, scales: TrackingScales, velocity: bo
 
 
 def _drive(unit: str, s: TrackingScales) -> Iterator[Effect]:
-    yield Effect(
-        "dead_time",
-        (_delay("from the command to the first reaction", s),),
+    yield like(
+        "pressure.dead_time",
         "it starts to react late",
-        source("pressure.dead_time"),
-        plain="{stage} reacts {delay} late",
+        "{stage} reacts {delay} late",
+        _delay("from the command to the first reaction", s),
     )
-    yield Effect(
-        "gain",
-        (
-            strength("scale", "-", 0.0, -1.0, 2.0, 0.1, "relative error of the gain"),
-            strength("offset", unit, 0.0, -s.reach, s.reach, s.share, "error of the zero"),
-        ),
+    yield like(
+        "pressure.gain",
         "it ends at the nominal end x (1 + scale) + offset: a proportional loop droops under a load",
-        source("pressure.gain"),
-        plain="the gain of {stage} is off by {scale} and its zero by {offset}",
+        "the gain of {stage} is off by {scale} and its zero by {offset}",
+        strength("scale", "-", 0.0, -1.0, 2.0, 0.1, "relative error of the gain"),
+        strength("offset", unit, 0.0, -s.reach, s.reach, s.share, "error of the zero"),
     )
     beyond = s.commanded - s.top
     if beyond > max(s.share, 0.0):  # a ceiling shows only if some commands were out of reach
         none = s.commanded + 0.1 * s.reach
         low = s.top - max(SIGMAS * s.noise, 0.02 * s.reach)
-        yield Effect(
-            "ceiling",
-            (strength("limit", unit, none, low, none, s.commanded - 0.5 * beyond, "highest value that is reached"),),
+        yield like(
+            "pressure.ceiling",
             "it ends at no more than this: the drive saturates",
-            source("pressure.ceiling"),
-            plain="{stage} reaches at most {limit}",
+            "{stage} reaches at most {limit}",
+            strength("limit", unit, none, low, none, s.commanded - 0.5 * beyond, "highest value that is reached"),
         )
-    yield Effect(
-        "deadband",
-        (_width("width", unit, s, "an error this small moves nothing"),),
+    yield like(
+        "pressure.deadband",
         "an error up to the width, either way, moves nothing: dry friction against a proportional loop",
-        source("pressure.deadband"),
-        plain="{stage} ignores errors below {width}",
+        "{stage} ignores errors below {width}",
+        _width("width", unit, s, "an error this small moves nothing"),
     )
-    yield Effect(
-        "lag",
-        (_delay("time constant upwards", s, "rise"), _delay("time constant downwards", s, "fall")),
+    yield like(
+        "pressure.lag",
         "it nears the command exponentially, with an own time constant upwards and downwards",
-        source("pressure.lag"),
-        plain="{stage} follows slowly, with time constants of {rise} up and {fall} down",
+        "{stage} follows slowly, with time constants of {rise} up and {fall} down",
+        _delay("time constant upwards", s, "rise"),
+        _delay("time constant downwards", s, "fall"),
     )
 
 
 def _limits(unit: str, s: TrackingScales) -> Iterator[Effect]:
     highest = s.reach / s.step_s
-    yield Effect(
-        "rate_limit",
-        (
-            _limit("rate", _rate(unit, 1), s.rise, highest, "largest slope upwards"),
-            _limit("fall", _rate(unit, 1), s.fall, highest, "largest slope downwards"),
-        ),
+    yield like(
+        "pressure.rate_limit",
         "it moves no faster than this, upwards and downwards",
-        source("pressure.rate_limit"),
-        plain="{stage} moves by at most {rate} up and {fall} down",
+        "{stage} moves by at most {rate} up and {fall} down",
+        _limit("rate", _rate(unit, 1), s.rise, highest, "largest slope upwards"),
+        _limit("fall", _rate(unit, 1), s.fall, highest, "largest slope downwards"),
     )
     highest = s.reach / s.step_s**2
-    yield Effect(
-        "acceleration_limit",
-        (_limit("acceleration", _rate(unit, 2), s.acceleration, highest, "slope of the velocity"),),
+    yield like(
+        "rail.acceleration_limit",
         "its velocity changes no faster than this: a motor's torque is limited",
-        source("rail.acceleration_limit"),
-        plain="{stage} accelerates at most with {acceleration}",
+        "{stage} accelerates at most with {acceleration}",
+        _limit("acceleration", _rate(unit, 2), s.acceleration, highest, "slope of the velocity"),
     )
 
 
@@ -132,46 +122,39 @@ def _mechanics(unit: str, s: TrackingScales) -> Iterator[Effect]:
         "Franklin, Powell and Emami-Naeini, Feedback Control",
         plain="{stage} swings at {frequency} when it follows",
     )
-    yield Effect(
-        "backlash",
-        (_width("gap", unit, s, "free travel between the flanks"),),
+    yield like(
+        "rail.backlash",
         "play at reversals: the drive crosses the gap before the load follows",
-        source("rail.backlash"),
-        plain="{stage} has {gap} of play",
+        "{stage} has {gap} of play",
+        _width("gap", unit, s, "free travel between the flanks"),
     )
-    yield Effect(
-        "hysteresis",
-        (
-            strength("strength", "-", 0.0, 0.0, 0.5, 0.3, "half height of the loop over its width"),
-            shape("width", unit, 0.15 * s.reach, 0.01 * s.reach, s.reach, 0.15 * s.reach, "travel of a reversal"),
-        ),
+    yield like(
+        "arm.hysteresis",
         "a loop between command and end, as wide at any speed (Bouc-Wen): soft material, no free travel",
-        source("arm.hysteresis"),
-        plain="{stage} moves differently on the way up and down (hysteresis)",
+        "{stage} moves differently on the way up and down (hysteresis)",
+        strength("strength", "-", 0.0, 0.0, 0.5, 0.3, "half height of the loop over its width"),
+        shape("width", unit, 0.15 * s.reach, 0.01 * s.reach, s.reach, 0.15 * s.reach, "travel of a reversal"),
     )
-    yield Effect(
-        "coulomb_friction",
-        (_width("loss", unit, s, "dry friction"),),
+    yield like(
+        "rail.coulomb_friction",
         "dry friction against a velocity loop: it stays behind by this, either way, and stands still below",
-        source("rail.coulomb_friction"),
-        plain="dry friction holds {stage} back by {loss}",
+        "dry friction holds {stage} back by {loss}",
+        _width("loss", unit, s, "dry friction"),
     )
 
 
 def _readings(unit: str, s: TrackingScales) -> Iterator[Effect]:
-    yield Effect(
-        "sensor_bias",
-        (strength("bias", unit, 0.0, -s.reach, s.reach, s.share, "reading minus true value"),),
+    yield like(
+        "pressure.sensor_bias",
         "the sensor reads high",
-        source("pressure.sensor_bias"),
-        plain="the sensor of {stage} reads {bias} off",
+        "the sensor of {stage} reads {bias} off",
+        strength("bias", unit, 0.0, -s.reach, s.reach, s.share, "reading minus true value"),
     )
-    yield Effect(
-        "latency",
-        (_delay("age of a reading beyond its stamp", s),),
+    yield like(
+        "mocap.latency",
         "readings are older than their stamps state",
-        source("mocap.latency"),
-        plain="the readings of {stage} are {delay} older than their stamps",
+        "the readings of {stage} are {delay} older than their stamps",
+        _delay("age of a reading beyond its stamp", s),
     )
 
 

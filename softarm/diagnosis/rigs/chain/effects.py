@@ -7,7 +7,7 @@ import numpy as np
 
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.chain.model import Chain
-from softarm.diagnosis.rigs.effects import of_stage, source
+from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.kernel.joints import REACH_RAD
@@ -116,45 +116,41 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
     # A single free link shows only the ratio of its inertia to its weight.
     several = scales.driven or scales.carried or chain.n > 1
     if weight:
-        yield Effect(
-            "stiffness",
-            REGISTRY["arm.stiffness"].parameters[:1],
+        yield like(
+            "arm.stiffness",
             "wrong moment of the weight: m g a x (1 + scale)",
-            source("arm.stiffness"),
-            plain="the links' weight moment is off by {scale}",
+            "the links' weight moment is off by {scale}",
+            *REGISTRY["arm.stiffness"].parameters[:1],
         )
     if chain.length[-1] > 0:  # otherwise the model does not give the position of the end
         mass = float(chain.mass.sum())
-        yield Effect(
-            "payload",
-            (strength("mass", "kg", 0.0, 0.0, mass, 0.1 * mass, "a point at the last link's end"),),
+        yield like(
+            "arm.payload",
             "extra mass at the end of the last link",
-            source("arm.payload"),
-            plain="{mass} extra hang at the last link's end",
+            "{mass} extra hang at the last link's end",
+            strength("mass", "kg", 0.0, 0.0, mass, 0.1 * mass, "a point at the last link's end"),
         )
     if several:
-        yield Effect(
-            "inertia",
-            (strength("scale", "-", 0.0, -0.8, 2.0, 0.2, "relative error, all links"),),
+        yield like(
+            "arm.payload",
             "wrong inertia of the links about their joints: x (1 + scale)",
-            source("arm.payload"),
-            plain="the links' inertia is off by {scale}",
+            "the links' inertia is off by {scale}",
+            strength("scale", "-", 0.0, -0.8, 2.0, 0.2, "relative error, all links"),
+            name="inertia",
         )
     yield from _friction(chain, scales)
-    yield Effect(
-        "sensor_bias",
-        _by_joint("bias", "rad", np.full(chain.n, -0.2), np.full(chain.n, 0.2), np.full(chain.n, 5e-3)),
+    yield like(
+        "pressure.sensor_bias",
         "the encoders' zeros are wrong, or the base leans",
-        source("pressure.sensor_bias"),
-        plain="the zeros of the joints' angles are off",
+        "the zeros of the joints' angles are off",
+        *_by_joint("bias", "rad", np.full(chain.n, -0.2), np.full(chain.n, 0.2), np.full(chain.n, 5e-3)),
     )
     if weight and several:
-        yield Effect(
-            "tilt",
-            (strength("angle", "rad", 0.0, -0.2, 0.2, 0.02, "of the base"),),
+        yield like(
+            "arm.tilt",
             "the base is not level",
-            source("arm.tilt"),
-            plain="the base is tilted by {angle}",
+            "the base is tilted by {angle}",
+            strength("angle", "rad", 0.0, -0.2, 0.2, 0.02, "of the base"),
         )
     if scales.driven:
         yield from _motors(chain, scales)
@@ -162,65 +158,55 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
 
 def _friction(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
     load = _loads(chain, scales)
-    yield Effect(
-        "damping",
-        _viscous(chain, scales),
+    yield like(
+        "arm.damping",
         "wrong viscous friction in the joints",
-        source("arm.damping"),
-        plain="the viscous friction in the joints is off",
+        "the viscous friction in the joints is off",
+        *_viscous(chain, scales),
     )
     noticed = NOTICED_DRIVEN * scales.torque_nm if scales.driven else NOTICED_SHARE * load
     noticed = np.maximum(noticed, NOTICED_SHARE * load)
     torques = _by_joint("torque", "N m", np.zeros(chain.n), np.maximum(load, 2 * chain.dry), chain.dry + noticed)
     give = shape("give", "rad", REACH_RAD, REACH_RAD, 0.05, 5e-3, "turn after which the friction has its full value")
-    yield Effect(
-        "coulomb_friction",
-        (*torques, give),
-        REGISTRY["arm.coulomb_friction"].meaning,
-        source("arm.coulomb_friction"),
-        plain="the joints have dry friction",
+    yield like(
+        "arm.coulomb_friction", REGISTRY["arm.coulomb_friction"].meaning, "the joints have dry friction", *torques, give
     )
     if chain.gravity > 0 and scales.reach_rad < TURNED_RAD:  # it has no meaning for a link that goes round
-        yield Effect(
-            "stiffening",
-            REGISTRY["arm.stiffening"].parameters,
+        yield like(
+            "arm.stiffening",
             "the moment grows with the angle: x (1 + cubic angle^2)",
-            source("arm.stiffening"),
-            plain="the weight moment changes with the angle",
+            "the weight moment changes with the angle",
+            *REGISTRY["arm.stiffening"].parameters,
         )
     most = float((AIR_KG_M3 * (2 * chain.centre) ** 2).max())
-    yield Effect(
-        "drag",
-        (strength("coefficient", "N s^2/m^2", 0.0, 0.0, most, 0.1 * most, "of each link, at its centre"),),
+    yield like(
+        "arm.drag",
         REGISTRY["arm.drag"].meaning,
-        source("arm.drag"),
-        plain="air drag slows the links",
+        "air drag slows the links",
+        strength("coefficient", "N s^2/m^2", 0.0, 0.0, most, 0.1 * most, "of each link, at its centre"),
     )
 
 
 def _motors(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
     n, load = chain.n, _loads(chain, scales)
-    yield Effect(
-        "gain",
-        _by_joint("scale", "-", np.full(n, -0.9), np.full(n, 2.0), np.full(n, 0.1), "relative error"),
+    yield like(
+        "pressure.gain",
         "the motors give torque x (1 + scale)",
-        source("pressure.gain"),
-        plain="the motors' torque is off",
+        "the motors' torque is off",
+        *_by_joint("scale", "-", np.full(n, -0.9), np.full(n, 2.0), np.full(n, 0.1), "relative error"),
     )
-    yield Effect(
-        "torque_offset",
-        _by_joint("torque", "N m", -load, load, 0.05 * np.maximum(scales.torque_nm, 0.1 * load)),
+    yield like(
+        "arm.torque_offset",
         "a constant torque at the joints; dry friction that is larger one way looks the same",
-        source("arm.torque_offset"),
-        plain="a constant torque acts at the joints",
+        "a constant torque acts at the joints",
+        *_by_joint("torque", "N m", -load, load, 0.05 * np.maximum(scales.torque_nm, 0.1 * load)),
     )
     latest = 0.25 * scales.period_s
-    yield Effect(
-        "dead_time",
-        (strength("delay", "s", 0.0, 0.0, latest, 2 * scales.sample_s, "before a torque acts"),),
+    yield like(
+        "pressure.dead_time",
         "the torques act later than their stamps state",
-        source("pressure.dead_time"),
-        plain="the torques act {delay} late",
+        "the torques act {delay} late",
+        strength("delay", "s", 0.0, 0.0, latest, 2 * scales.sample_s, "before a torque acts"),
     )
 
 

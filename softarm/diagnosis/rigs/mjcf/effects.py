@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import of_stage, source
+from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.simulator.effect_table import Effect, shape, strength
 
@@ -78,19 +78,17 @@ def joint_effects(stage: str, scales: JointScales) -> tuple[Effect, ...]:
 def _drive(s: JointScales) -> Iterator[Effect]:
     late = min(0.5 * s.period_s, 100 * s.step_s)
     usual = min(max(2 * s.step_s, 0.02 * s.period_s), 0.5 * late)
-    yield Effect(
-        "dead_time",
-        (strength("delay", "s", 0.0, -0.5 * s.step_s, late, usual, "from the command to the first torque"),),
+    yield like(
+        "pressure.dead_time",
         "the actuator reacts late",
-        source("pressure.dead_time"),
-        plain="{stage} reacts {delay} late",
+        "{stage} reacts {delay} late",
+        strength("delay", "s", 0.0, -0.5 * s.step_s, late, usual, "from the command to the first torque"),
     )
-    yield Effect(
-        "lag",
-        (strength("time", "s", 0.0, 0.0, late, usual, "time constant"),),
+    yield like(
+        "rail.lag",
         "the actuator follows its command as a first-order lag (a filter activation)",
-        source("rail.lag"),
-        plain="the actuator of {stage} follows with a time constant of {time}",
+        "the actuator of {stage} follows with a time constant of {time}",
+        strength("time", "s", 0.0, 0.0, late, usual, "time constant"),
     )
     yield Effect(
         "gain",
@@ -99,7 +97,15 @@ def _drive(s: JointScales) -> Iterator[Effect]:
         "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
         plain="the actuator's gain of {stage} is off by {scale}",
     )
-    yield from _loop(s) if s.follows else _motor(s)
+    if s.follows:
+        yield from _loop(s)
+    else:
+        yield like(
+            "arm.torque_offset",
+            "a constant torque acts at the joint",
+            "a constant {torque} acts at {stage}",
+            strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),
+        )
     yield Effect(
         "ceiling",
         (strength("limit", s.force, math.inf, 0.1 * s.torque, 3 * s.torque, 0.7 * s.torque, "either way"),),
@@ -119,69 +125,38 @@ def _loop(s: JointScales) -> Iterator[Effect]:
         "standard proportional position loop",
         plain="the position loop of {stage} has a gain that is off by {scale}",
     )
-    yield Effect(
-        "command_bias",
-        (strength("bias", s.length, 0.0, -most, most, 0.02 * s.travel, "added to the command"),),
+    yield like(
+        "pressure.sensor_bias",
         "the zero of the commands differs from the zero of the readings",
-        source("pressure.sensor_bias"),
-        plain="the commands of {stage} are off by {bias}",
+        "the commands of {stage} are off by {bias}",
+        strength("bias", s.length, 0.0, -most, most, 0.02 * s.travel, "added to the command"),
+        name="command_bias",
     )
-    yield Effect(
-        "deadband",
-        (strength("width", s.length, 0.0, 0.0, 0.2 * s.travel, 0.01 * s.travel, "either way"),),
+    yield like(
+        "pressure.deadband",
         "errors of the position up to the width make no torque",
-        source("pressure.deadband"),
-        plain="{stage} ignores errors below {width}",
+        "{stage} ignores errors below {width}",
+        strength("width", s.length, 0.0, 0.0, 0.2 * s.travel, 0.01 * s.travel, "either way"),
     )
     slow = max(s.speed, 1e-6)
-    yield Effect(
-        "rate_limit",
-        (
-            strength(
-                "rate",
-                f"{s.length}/s",
-                math.inf,
-                0.5 * slow,
-                max(s.command_rate, 2 * slow),
-                0.8 * slow,
-                "of the position that the loop follows",
-            ),
-        ),
+    fast = max(s.command_rate, 2 * slow)
+    yield like(
+        "pressure.rate_limit",
         "the position that the loop follows moves no faster than this (a servo's profile speed)",
-        source("pressure.rate_limit"),
-        plain="{stage} moves by at most {rate}",
-    )
-
-
-def _motor(s: JointScales) -> Iterator[Effect]:
-    """Yield the effects of a torque command."""
-    yield Effect(
-        "torque_offset",
-        (strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),),
-        "a constant torque acts at the joint",
-        source("arm.torque_offset"),
-        plain="a constant {torque} acts at {stage}",
+        "{stage} moves by at most {rate}",
+        strength(
+            "rate", f"{s.length}/s", math.inf, 0.5 * slow, fast, 0.8 * slow, "of the position that the loop follows"
+        ),
     )
 
 
 def _friction(s: JointScales) -> Iterator[Effect]:
     usual, dry = USUAL * s.usual, s.joint.dry
-    yield Effect(
-        "coulomb_friction",
-        (
-            strength(
-                "torque",
-                s.force,
-                0.0,
-                0.0,
-                max(1.5 * s.torque, 3 * dry),
-                dry + usual,
-                "frictionloss",
-            ),
-        ),
+    yield like(
+        "arm.coulomb_friction",
         "dry friction",
-        source("arm.coulomb_friction"),
-        plain="{stage} has {torque} of dry friction",
+        "{stage} has {torque} of dry friction",
+        strength("torque", s.force, 0.0, 0.0, max(1.5 * s.torque, 3 * dry), dry + usual, "frictionloss"),
     )
     yield Effect(
         "stiction",
@@ -206,107 +181,78 @@ def _friction(s: JointScales) -> Iterator[Effect]:
 
 def _of_speed(s: JointScales) -> Iterator[Effect]:
     """Yield friction that grows with the speed."""
-    usual, per_speed = USUAL * s.usual, f"{s.force} s/{s.length}"
+    usual, per_speed, per_square = USUAL * s.usual, f"{s.force} s/{s.length}", f"{s.force} s^2/{s.length}^2"
     top, own = 3 * s.torque / s.speed, s.joint.viscous
-    yield Effect(
-        "damping",
-        (strength("viscous", per_speed, 0.0, 0.0, max(top, 3 * own), own + usual / s.speed, "per unit of speed"),),
+    yield like(
+        "arm.damping",
         "viscous friction; a motor's back-EMF acts alike",
-        source("arm.damping"),
-        plain="{stage} has viscous friction of {viscous}",
+        "{stage} has viscous friction of {viscous}",
+        strength("viscous", per_speed, 0.0, 0.0, max(top, 3 * own), own + usual / s.speed, "per unit of speed"),
     )
-    yield Effect(
-        "drag",
-        (
-            strength(
-                "coefficient",
-                f"{s.force} s^2/{s.length}^2",
-                0.0,
-                0.0,
-                top / s.speed,
-                USUAL * s.usual / s.speed**2,
-                "times the speed squared",
-            ),
-        ),
+    yield like(
+        "arm.drag",
         "friction grows with the speed squared",
-        source("arm.drag"),
-        plain="drag slows {stage} at speed",
+        "drag slows {stage} at speed",
+        strength("coefficient", per_square, 0.0, 0.0, top / s.speed, usual / s.speed**2, "times the speed squared"),
     )
 
 
 def _bodies(s: JointScales) -> Iterator[Effect]:
+    unit, usual = "kg m^2" if s.joint.turns else "kg", s.joint.armature + 0.2 * s.inertia
     yield Effect(
         "armature",
-        (
-            strength(
-                "inertia",
-                "kg m^2" if s.joint.turns else "kg",
-                0.0,
-                0.0,
-                10 * s.inertia,
-                s.joint.armature + 0.2 * s.inertia,
-                "of the rotor, behind its gear",
-            ),
-        ),
+        (strength("inertia", unit, 0.0, 0.0, 10 * s.inertia, usual, "of the rotor, behind its gear"),),
         "the inertia of the rotor",
         "standard mechanics: rotor inertia times the squared gear ratio",
         plain="the rotor of {stage} has an inertia of {inertia}",
     )
     if s.mass:
-        yield Effect(
-            "mass",
-            (
-                strength(
-                    "scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of all masses and inertias behind the joint"
-                ),
-            ),
+        yield like(
+            "arm.payload",
             "the bodies behind the joint have another mass",
-            source("arm.payload"),
-            plain="the mass behind {stage} is off by {scale}",
+            "the mass behind {stage} is off by {scale}",
+            strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of all masses and inertias behind the joint"),
+            name="mass",
         )
     if math.isfinite(s.payload):
-        yield Effect(
-            "payload",
-            (strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point at the last body's centre"),),
+        yield like(
+            "arm.payload",
             "extra mass at the end of the mechanism",
-            source("arm.payload"),
-            plain="{mass} extra hang at the end, behind {stage}",
+            "{mass} extra hang at the end, behind {stage}",
+            strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point at the last body's centre"),
         )
     own = s.joint.spring
     top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel
-    yield Effect(
-        "spring",
-        (strength("stiffness", f"{s.force}/{s.length}", 0.0, 0.0, top, usual, "about its rest"),),
+    yield like(
+        "arm.stiffness",
         "a spring acts at the joint: a cable, a tube, a balancer",
-        source("arm.stiffness"),
-        plain="a spring of {stiffness} acts at {stage}",
+        "a spring of {stiffness} acts at {stage}",
+        strength("stiffness", f"{s.force}/{s.length}", 0.0, 0.0, top, usual, "about its rest"),
+        name="spring",
     )
 
 
 def _sensor(s: JointScales) -> Iterator[Effect]:
     play = min(max(5 * s.resolution, 0.005 * s.travel), 0.1 * s.travel)
-    yield Effect(
-        "backlash",
-        (strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),),
+    yield like(
+        "rail.backlash",
         "play between the joint and its sensor",
-        source("rail.backlash"),
-        plain="{stage} has {gap} of play",
+        "{stage} has {gap} of play",
+        strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),
     )
     if s.load:
         most = 0.2 if s.joint.turns else 0.2 * s.travel
-        yield Effect(
-            "sensor_bias",
-            (strength("bias", s.length, 0.0, -most, most, 0.1 * most, "reading minus true position"),),
+        yield like(
+            "pressure.sensor_bias",
             "the joint's zero is wrong, so its load acts at another angle",
-            source("pressure.sensor_bias"),
-            plain="the zero of {stage} is off by {bias}",
+            "the zero of {stage} is off by {bias}",
+            strength("bias", s.length, 0.0, -most, most, 0.1 * most, "reading minus true position"),
         )
     if s.driven:
         late = min(0.5 * s.period_s, 100 * s.step_s)
-        yield Effect(
-            "latency",
-            (strength("delay", "s", 0.0, -0.5 * s.step_s, late, min(2 * s.step_s, 0.5 * late), "beyond its stamp"),),
+        yield like(
+            "mocap.latency",
             "readings are older than their stamps state",
-            source("mocap.latency"),
-            plain="the readings of {stage} are {delay} older than their stamps",
+            "the readings of {stage} are {delay} older than their stamps",
+            strength("delay", "s", 0.0, -0.5 * s.step_s, late, min(2 * s.step_s, 0.5 * late), "beyond its stamp"),
         )
