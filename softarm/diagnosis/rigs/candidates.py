@@ -17,8 +17,6 @@ _ABSOLUTE = {
     "sensor_bias.bias": 0.003,
     "damping.scale": 1.0,
 }
-# Half-widths in noise floors of the view.
-_FLOORS = {"gain.offset": 1.0}
 # An effect counts only beyond this multiple of its parameter's half-width.
 _BEYOND = 1.001
 # Starting values of a fit, as shares of the usual change.
@@ -46,7 +44,16 @@ def candidates(view: RigView) -> tuple[Candidate, ...]:
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:
     """Return the parameters that are fitted within their boxes next to every candidate."""
-    return tuple(_nuisances(view))
+    widths, found = _widths(view), []
+    known = {f"{e.name}.{p.name}".partition(".")[2] for e in view.effects for p in e.parameters}
+    for effect in view.effects:
+        for p in effect.parameters:
+            path = f"{effect.name}.{p.name}"
+            local = path.partition(".")[2]
+            if local in widths and _SUMMED.get(local) not in known:
+                nominal, width = view.nominal(local), widths[local]
+                found.append(Nuisance(path, nominal, max(p.low, nominal - width), min(p.high, nominal + width)))
+    return tuple(found)
 
 
 def _candidate(view: RigView, effect: Effect) -> Candidate:
@@ -86,18 +93,4 @@ def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]
 
 def _widths(view: RigView) -> dict[str, float]:
     """Return the half-width of every nuisance's box by 'effect.parameter'."""
-    return (
-        _ABSOLUTE | {local: share * float(view.floor.max()) for local, share in _FLOORS.items()} | dict(view.tolerances)
-    )
-
-
-def _nuisances(view: RigView) -> Iterator[Nuisance]:
-    widths = _widths(view)
-    known = {f"{e.name}.{p.name}".partition(".")[2] for e in view.effects for p in e.parameters}
-    for effect in view.effects:
-        for p in effect.parameters:
-            path = f"{effect.name}.{p.name}"
-            local = path.partition(".")[2]
-            if local in widths and _SUMMED.get(local) not in known:
-                nominal = view.nominal(local)
-                yield Nuisance(path, nominal, max(p.low, nominal - widths[local]), min(p.high, nominal + widths[local]))
+    return {**_ABSOLUTE, "gain.offset": float(view.floor.max()), **view.tolerances}

@@ -160,35 +160,36 @@ def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings
     )
 
 
-def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[int, ...]]:
-    """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from."""
+def view_of(trials: Sequence[Trial]) -> tuple[RigView, Stretches]:
+    """Return a stage's view and its windows, in the view's order."""
     kind = VIEWS[stage_of(trials).kind]
-    found = Stretches(tuple(trials), tuple(range(len(trials)))).windows(kind.windows)
-    view: RigView = kind(found.trials)
+    windows = Stretches(tuple(trials), tuple(range(len(trials)))).cut_into(map(kind.windows, trials))
+    view: RigView = kind(windows.trials)
     for times in range(1, HALVINGS + 1):
-        if not view.growing:
+        if not (growing := view.growing):
             break
-        found = found.halved(view, times)
-        view = kind(found.trials)
-    return view, found.trials, found.origins
+        parts = [view.halves(i, times) if i in growing else (trial,) for i, trial in enumerate(windows.trials)]
+        windows = windows.cut_into(parts)
+        view = kind(windows.trials)
+    return view, windows
 
 
 def examine(
     trials: Sequence[Trial], budget_s: float = math.inf, report: Progress = lambda text, share: None
 ) -> Finding:
     """Diagnose one stage from its trials, or from the most informative stretches if the budget binds."""
-    view, ordered, origins = view_of(trials)
+    view, used = view_of(trials)
     notes: tuple[str, ...] = ()
     build = VIEWS[stage_of(trials).kind]
-    if (reduced := subsample.within(budget_s, view, Stretches(ordered, origins), build)) is not None:
+    if (reduced := subsample.within(budget_s, view, used, build)) is not None:
         used, note = reduced
-        view, ordered, origins, notes = build(used.trials), used.trials, used.origins, (note,)
-    kinds = [t.kind for t in ordered]
-    setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
-    thresholds = WINDOWED if view.fits_starts and len(set(origins)) >= TRIALS_LEAST else RIG
+        view, notes = build(used.trials), (note,)
+    kinds = [t.kind for t in used.trials]
+    setup = Setup([view], nuisances(view), kinds, used.origins, view.block_s)
+    thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
     thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view))
-    finding = _Stage(view, ordered, origins, found).finding()
+    finding = _Stage(view, used, found).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))
 
 
@@ -206,18 +207,16 @@ def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Ar
 class _Stage:
     """Assembly of a stage's finding from the examination of its view."""
 
-    def __init__(self, view: RigView, trials: tuple[Trial, ...], origins: tuple[int, ...], found: Examination) -> None:
-        self.view, self.trials, self.origins, self.found = view, trials, origins, found
+    def __init__(self, view: RigView, used: Stretches, found: Examination) -> None:
+        self.view, self.trials, self.origins, self.found = view, used.trials, used.origins, found
         self.choice, self.decision = found.choice, found.decide()
         self.fit = found.named(self.decision)
-        self.calibrated = self._calibrated()
+        units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
+        self.calibrated = calibrated(
+            found.setup, found.verdict_problem, found.plain, self.fit, lambda path: units.get(path, PURE)
+        )
         self.nominal: Array = view.gap([{}])[0].astype(float)
         self.without = found.without_each(self.fit)
-
-    def _calibrated(self) -> Calibrated:
-        """Return the calibration next to the named effects."""
-        found, units = self.found, {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
-        return calibrated(found.setup, found.verdict_problem, found.plain, self.fit, lambda path: units.get(path, PURE))
 
     def finding(self) -> Finding:
         """Return the complete finding."""

@@ -5,7 +5,7 @@ plan counts rollouts: the same data and budget give the same stretches, and the 
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,20 +34,10 @@ class Stretches:
     trials: tuple[Trial, ...]
     origins: tuple[int, ...]
 
-    def windows(self, windows: Callable[[Trial], tuple[Trial, ...]]) -> "Stretches":
-        """Return the windows of all stretches."""
-        pairs = [(part, k) for trial, k in zip(self.trials, self.origins, strict=True) for part in windows(trial)]
+    def cut_into(self, parts: Iterable[tuple[Trial, ...]]) -> "Stretches":
+        """Return the parts of every stretch as stretches."""
+        pairs = [(part, k) for k, mine in zip(self.origins, parts, strict=True) for part in mine]
         return Stretches(tuple(part for part, _ in pairs), tuple(k for _, k in pairs))
-
-    def halved(self, view: RigView, times: int) -> "Stretches":
-        """Return the stretches with those of a view halved in which small errors grow too much."""
-        growing = view.growing
-        parts = [
-            (part, k)
-            for i, (trial, k) in enumerate(zip(self.trials, self.origins, strict=True))
-            for part in (view.halves(i, times) if i in growing else (trial,))
-        ]
-        return Stretches(tuple(part for part, _ in parts), tuple(k for _, k in parts))
 
     def part(self, kept: Sequence[int]) -> "Stretches":
         """Return some of the stretches, in their order."""
@@ -63,7 +53,7 @@ def within(
     if share >= 1:
         return None
     if not view.fits_starts:
-        stretches = stretches.windows(lambda trial: cut(trial, view.block_s, view.blocks_each))
+        stretches = stretches.cut_into(cut(trial, view.block_s, view.blocks_each) for trial in stretches.trials)
         view = build(stretches.trials)
     sizes = np.bincount(view.trial, minlength=len(stretches.trials)).astype(float)
     kept = most_informative(information(view, known), sizes, [trial.kind for trial in stretches.trials], share)
@@ -104,14 +94,8 @@ def information(view: RigView, known: Sequence[Candidate]) -> Array:
 def most_informative(found: Array, sizes: Array, kinds: Sequence[str], share: float) -> list[int]:
     """Return stretches with a share of all samples that hold the most information, `KIND_LEAST` of each kind at least.
 
-    Each next stretch adds most to the logarithms of the summed information, per sample; for such a sum the greedy
-    choice is close to the best (Nemhauser 1978).
-
-    Args:
-        found: information of each stretch, [W, p].
-        sizes: number of its samples, [W].
-        kinds: its excitation.
-        share: share of all samples that is kept.
+    Each next stretch adds most to the logarithms of the summed information [W, p], per sample [W]; for such a sum the
+    greedy choice is close to the best (Nemhauser 1978).
     """
     kept: list[int] = []
     summed, left = np.ones(found.shape[1]), set(range(len(found)))

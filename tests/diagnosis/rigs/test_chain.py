@@ -253,10 +253,10 @@ def over_the_top(beyond, trials=4):
 def test_windows_over_the_top_are_as_short_as_the_growth_of_errors_demands():
     calm, strong = campaign(TWO, trials=1, size=BIG), over_the_top({}, trials=1)
     whole, halved = (len(ChainView.windows(trials[0])) for trials in (calm, strong))
-    assert len(view_of(calm)[1]) == whole
-    found, parts, origins = view_of(strong)
-    assert len(parts) > 2 * halved
-    assert set(origins) == {0}
+    assert len(view_of(calm)[1].trials) == whole
+    found, parts = view_of(strong)
+    assert len(parts.trials) > 2 * halved
+    assert set(parts.origins) == {0}
     assert np.isfinite(found.measured).all(axis=1).mean() > 0.9
     grown = ChainView(ChainView.windows(strong[0])).growth
     assert grown.max() > 20

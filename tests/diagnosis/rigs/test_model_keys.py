@@ -31,7 +31,7 @@ SECOND = {"length_m": (0.4, 0.2)}  # the last length has no effect
 
 def residuals(kind, model):
     channels = {name: Series(T.copy(), {c: v.copy() for c, v in cs.items()}) for name, cs in SERIES[kind].items()}
-    view, _, _ = view_of([Trial("one", "waves", Path("one"), channels, stage=TableStage("thing", kind, model))])
+    view, _ = view_of([Trial("one", "waves", Path("one"), channels, stage=TableStage("thing", kind, model))])
     return np.nan_to_num(view.gap([{}]))
 
 

@@ -164,7 +164,8 @@ def test_windows_contain_every_sample_once():
 def test_trials_are_cut_into_windows_and_held_out_whole():
     t, angle = swing({}, 0.3, 12.0)
     trials = [pendulum(angle[:, 0], t, f"swing {i}") for i in range(4)]
-    view, parts, origins = view_of(trials)
+    view, found = view_of(trials)
+    parts, origins = found.trials, found.origins
     assert len(parts) == 4 * len(ChainView.windows(trials[0])) == 16
     assert [trials[k].name for k in origins] == [part.name.split(" from")[0] for part in parts]
     setup = Setup([view], nuisances(view), [t.kind for t in parts], origins)
@@ -252,8 +253,8 @@ def test_large_swings_show_drag_and_dry_friction_next_to_the_models_viscous_fric
 
 def test_the_search_holds_out_blocks_and_the_verdict_whole_kinds():
     trials = late_servo()
-    view, ordered, origins = view_of(trials)
-    setup = Setup([view], nuisances(view), [t.kind for t in ordered], origins)
+    view, found = view_of(trials)
+    setup = Setup([view], nuisances(view), [t.kind for t in found.trials], found.origins)
     searched = dict(zip(setup.blocks, interleaved(setup.blocks), strict=True))
     for k in range(len(trials)):
         assert len({fold for (trial, _), fold in searched.items() if trial == k}) >= 3

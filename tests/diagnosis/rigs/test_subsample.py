@@ -31,9 +31,9 @@ def recordings(quiet_s: float = 0.0) -> list[Trial]:
 
 def reduced(trials: list[Trial], share: float) -> tuple[Stretches, str] | None:
     """Return what a budget keeps that pays for a share of the data."""
-    view, ordered, origins = view_of(trials)
+    view, whole = view_of(trials)
     budget_s = share * subsample.planned_s(view, candidates(view)) / subsample.PLANNED
-    return within(budget_s, view, Stretches(ordered, origins), TrackingView)
+    return within(budget_s, view, whole, TrackingView)
 
 
 def test_a_rare_effect_outweighs_more_of_the_same():
