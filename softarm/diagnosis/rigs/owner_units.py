@@ -2,17 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from softarm.common.quantity import PURE
 from softarm.diagnosis.data.stage_rules import followed
 from softarm.diagnosis.data.trials import TableStage, TableUnit, Trial
 from softarm.diagnosis.engine.result import Diagnosis, Overlay, Regime
-from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, NamedEffect, Quantity
+from softarm.schemas.verdict import Estimate, Gap, NamedEffect, Quantity
 
 # Name of the table's unit, and its number of units per standard unit.
 Unit = tuple[str, float]
-_VALUES = ("nominal", "value", "low", "high", "tolerance_low", "tolerance_high")  # of a calibrated parameter
-_CURVES = ("measured", "nominal", "patched", "calibrated")  # of an overlay
+Q = TypeVar("Q", Quantity, Estimate)
+D = TypeVar("D", bound=Overlay | Regime)
+# Fields in a stage's unit: of a Quantity, Estimate or CalibratedParameter, of an Overlay, of a Regime.
+_VALUES = ("nominal", "value", "low", "high", "tolerance_low", "tolerance_high")
+_CURVES = ("measured", "nominal", "patched", "calibrated")
+_RMS = ("nominal_rms", "patched_rms")
 _RATES = ("", "/s", "/s^2", "/s^3")
 
 
@@ -23,18 +28,21 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
     verdict = diagnosis.verdict
     gap = Gap(
         **{
-            when: {stage: _quantity(each, units.get(stage, {})) for stage, each in getattr(verdict.gap, when).items()}
+            when: {
+                stage: _scaled(each, _own(each.unit, units.get(stage, {})))
+                for stage, each in getattr(verdict.gap, when).items()
+            }
             for when in Gap.model_fields
         }
     )
     named = tuple(_effect(effect, units.get(effect.name.rpartition(".")[0], {})) for effect in verdict.effects)
     own = {path: _own(unit, _of(path, units)) for path, unit in diagnosis.units.items()}
-    calibration = tuple(_calibrated(each, own) for each in verdict.calibration)
+    calibration = tuple(_scaled(each, own.get(each.name, (each.unit, 1.0))) for each in verdict.calibration)
     return replace(
         diagnosis,
         verdict=verdict.model_copy(update={"gap": gap, "effects": named, "calibration": calibration}),
-        overlays=tuple(_overlay(overlay, units.get(overlay.stage, {})) for overlay in diagnosis.overlays),
-        regimes=tuple(_regime(regime, units.get(regime.stage, {})) for regime in diagnosis.regimes),
+        overlays=tuple(_converted(each, _CURVES, units) for each in diagnosis.overlays),
+        regimes=tuple(_converted(each, _RMS, units) for each in diagnosis.regimes),
         rivals=tuple(replace(rival, parameters=_values(rival.parameters, own)) for rival in diagnosis.rivals),
         units={path: unit for path, (unit, _) in own.items()},
     )
@@ -84,32 +92,18 @@ def _values(of: Mapping[str, float], own: Mapping[str, Unit]) -> dict[str, float
     return {path: value * own.get(path, ("", 1.0))[1] for path, value in of.items()}
 
 
-def _quantity(of: Quantity, known: Mapping[str, Unit]) -> Quantity:
-    unit, worth = _own(of.unit, known)
-    return Quantity(value=of.value * worth, unit=unit)
-
-
-def _calibrated(of: CalibratedParameter, own: Mapping[str, Unit]) -> CalibratedParameter:
-    unit, worth = own.get(of.name, (of.unit, 1.0))
-    scaled = {name: getattr(of, name) * worth for name in _VALUES}
-    return of.model_copy(update={**scaled, "unit": unit})
+def _scaled(of: Q, own: Unit) -> Q:
+    unit, worth = own
+    values = {name: getattr(of, name) * worth for name in _VALUES if name in type(of).model_fields}
+    return of.model_copy(update={**values, "unit": unit})
 
 
 def _effect(effect: NamedEffect, known: Mapping[str, Unit]) -> NamedEffect:
-    parameters = {}
-    for name, of in effect.parameters.items():
-        unit, worth = _own(of.unit, known)
-        parameters[name] = Estimate(value=of.value * worth, low=of.low * worth, high=of.high * worth, unit=unit)
+    parameters = {name: _scaled(of, _own(of.unit, known)) for name, of in effect.parameters.items()}
     return effect.model_copy(update={"parameters": parameters})
 
 
-def _overlay(of: Overlay, known: Mapping[str, Unit]) -> Overlay:
-    unit, worth = _own(of.unit, known)
-    curves = {name: curve * worth for name in _CURVES if (curve := getattr(of, name)) is not None}
-    return replace(of, unit=unit, **curves)
-
-
-def _regime(of: Regime, known: Mapping[str, Unit]) -> Regime:
-    unit, worth = _own(of.unit, known)
-    patched = None if of.patched_rms is None else of.patched_rms * worth
-    return replace(of, unit=unit, nominal_rms=of.nominal_rms * worth, patched_rms=patched)
+def _converted(of: D, fields: Sequence[str], units: Mapping[str, Mapping[str, Unit]]) -> D:
+    unit, worth = _own(of.unit, units.get(of.stage, {}))
+    values = {name: value * worth for name in fields if (value := getattr(of, name)) is not None}
+    return replace(of, unit=unit, **values)

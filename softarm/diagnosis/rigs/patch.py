@@ -1,10 +1,10 @@
 """Patch of a rig: its stage.yaml with the named effects and the calibration as the nominal model."""
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from softarm.common import yaml_lines
@@ -53,7 +53,8 @@ def _reweighed(model: dict[str, Any], links: int, of: str, i: int, share: float)
     about the joint is split by the nominal mass.
     """
     key = next(name for name in ("inertia_kg_m2", "inertia_joint_kg_m2") if name in model)
-    mass, centre, inertia = (_each(model[name], links) for name in ("mass_kg", "centre_m", key))
+    values = (np.broadcast_to(np.asarray(model[name], dtype=float), links) for name in ("mass_kg", "centre_m", key))
+    mass, centre, inertia = (each.tolist() for each in values)
     arm = mass[i] * centre[i] ** 2
     if of == "inertia":
         inertia[i] += share * (inertia[i] - (arm if key == "inertia_joint_kg_m2" else 0.0))
@@ -61,11 +62,6 @@ def _reweighed(model: dict[str, Any], links: int, of: str, i: int, share: float)
         mass[i] *= 1 + share
         inertia[i] += share * arm if key == "inertia_joint_kg_m2" else 0.0
     return {"mass_kg": [*map(_short, mass)], key: [*map(_short, inertia)]}
-
-
-def _each(value: float | Iterable[float], links: int) -> list[float]:
-    given = [float(x) for x in value] if isinstance(value, Iterable) else [float(value)]
-    return given * links if len(given) == 1 else given
 
 
 def _short(value: float) -> float:
