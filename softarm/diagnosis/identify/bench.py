@@ -6,15 +6,13 @@ Regulator and drive are left out.
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.identify.motion import Motion
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
 

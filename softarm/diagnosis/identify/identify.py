@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.identify import bench, motion, refinement, regression
 from softarm.diagnosis.identify.motion import Derivatives, Motion
 from softarm.diagnosis.identify.refinement import PRESSURE_SPAN_KPA, Refinement
 from softarm.diagnosis.identify.regression import Regression
 from softarm.schemas.model import Model
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 WIDE = 0.10  # half interval of K, D or b that raises a warning, as a share of the value

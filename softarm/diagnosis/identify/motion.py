@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from softarm.diagnosis.data.trials import Series, Trial, TrialError, check_links
-
-Array = NDArray[np.float64]
+from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError, check_links
 
 CUTOFF_HZ = 8.0  # zero-phase filter; the arm swings below 4 Hz
 CART_CUTOFF_HZ = 15.0  # the drive moves faster than the arm swings

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.noise import Whitener
-from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 from softarm.diagnosis.identify.bench import Bench, names, to_columns
 from softarm.diagnosis.identify.motion import Motion
 from softarm.schemas.model import Arm
-
-Array = NDArray[np.float64]
 
 PRESSURE_SPAN_KPA = 1.0  # smallest span that shows the muscle
 PASSES = 4  # each starts where the last one ended

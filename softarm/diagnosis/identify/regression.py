@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.identify.bench import PARAMETERS
 from softarm.diagnosis.identify.motion import Derivatives
 from softarm.schemas.model import Arm
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
