@@ -6,6 +6,7 @@ measured one. No acceleration is needed, so an encoder suffices, and an inexact 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,12 @@ from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_
 from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.motion import (
+    STILL,
     Motion,
     directions,
     motions,
     period,
+    regimes,
     summed_twice,
     time_uncertainty,
     window_edges,
@@ -42,8 +45,8 @@ HELD_LATE = 0.5
 OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.004
 # Uncertainty of the travel over which friction bends, as a multiple.
 GIVE_TIMES = 3.0
-# Shares of the largest speed and force that bound the regimes.
-SLOW, STILL, STRONG = 0.15, 0.01, 0.6
+# Share of the largest force from which a force is large.
+STRONG = 0.6
 _MODEL = {
     "viscous": "damping.viscous",
     "coulomb": "coulomb_friction.force",
@@ -68,20 +71,22 @@ class DrivenMassView(RigView):
         self._speed_alone = column == "velocity"
         driver = common_column(trials, "force", DRIVEN_BY)
         step = resolution([t.channel("measured")[column] for t in trials])
-        inputs = [held_integral(t.channel("force"), t.channel("force")[driver], 10.0) for t in trials]
-        limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
+        sent = [t.channel("force")[driver] for t in trials]
+        self._inputs = [held_integral(t.channel("force"), u, 10.0) for t, u in zip(trials, sent, strict=True)]
+        limit = abs(self._gain) * _largest(sent) / self._mass
         self._motions = motions(trials, column, step, limit, speed_alone=self._speed_alone)
         length = stage.unit("measured", column).removesuffix("/s") or ("rad" if rotary else "m")
-        scales = _scales(trials, self._motions, driver, abs(self._gain), limit, step, length, "N m" if rotary else "N")
-        self._inputs, self._scales = inputs, scales
+        force = "N m" if rotary else "N"
+        units = length, force, force if driver == "force" else DRIVEN_BY[driver]
+        self._scales = scales = self._measure(units, sent, limit, step)
         own = driven_mass_effects(stage.name, scales, self._speed_alone)
         self._known = neutral_values(own) | {path: stage.number(key, 0.0) for key, path in _MODEL.items()}
         self._known |= given_values(stage, own)
         window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
         self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_PER_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
-        self._late: dict[tuple[int, float], Array] = {}
-        self._forces: dict[tuple[float, ...], list[Array]] = {}
+        self._delayed = lru_cache(64 * len(trials))(self._held)
+        self._forces = lru_cache(16)(self._driven)
         signals = [self._signals(k) for k in range(len(trials))]
         super().__init__(
             stage.name,
@@ -133,24 +138,15 @@ class DrivenMassView(RigView):
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by speed, direction and force."""
-        f, s = self.features, self._scales
-        speed, force = f["speed"], np.abs(f["force"])
-        still = np.abs(speed) < STILL * s.speed
-        return {
-            "at rest": still,
-            "moving slowly": ~still & (np.abs(speed) < SLOW * s.speed),
-            "moving fast": np.abs(speed) > 0.5 * s.speed,
-            "moving forwards": speed > STILL * s.speed,
-            "moving backwards": speed < -STILL * s.speed,
-            "after a reversal": (f["time since reversal"] < 0.1 * s.period_s) & ~still,
-            "under a large force": force > STRONG * s.force,
-            "coasting": ~still & (force < 0.05 * s.force),
-        }
+        force, s = np.abs(self.features["force"]), self._scales
+        found = regimes(self.features, s.speed, s.period_s)
+        coasting = ~found["at rest"] & (force < 0.05 * s.force)
+        return found | {"under a large force": force > STRONG * s.force, "coasting": coasting}
 
     def _gap(self, point: Point) -> Array:
         point = {path: self.value(point, path) for path in self._known}
         law, parts = self._law(point), []
-        forces = self._driven(tuple(point[path] for path in _INPUT), law)
+        forces = self._forces(*(point[path] for path in _INPUT))
         for m, windows, force in zip(self._motions, self._windows, forces, strict=True):
             out = np.empty(len(m.seen))
             laws.residuals(windows, force, law, self._fit._replace(step_s=m.grid.step_s), out)
@@ -161,12 +157,8 @@ class DrivenMassView(RigView):
         law = np.zeros(laws.COLUMNS)
         dry, more = point["coulomb_friction.force"], point["friction_asymmetry.force"]
         law[laws.FORWARD], law[laws.BACKWARD] = max(dry + more, 0.0), max(dry - more, 0.0)
-        law[laws.GAIN] = self._gain * (1 + point["gain.scale"])
         law[laws.MASS] = self._mass * (1 + point["mass.scale"])
         for path, column in (
-            ("deadband.width", laws.WIDTH),
-            ("ceiling.limit", laws.LIMIT),
-            ("lag.time", laws.LAG),
             ("coulomb_friction.give", laws.GIVE),
             ("stiction.force", laws.STICTION),
             ("stiction.speed", laws.SPEED),
@@ -183,29 +175,42 @@ class DrivenMassView(RigView):
             law[laws.OMEGA] = 2 * np.pi * point["compliance.frequency"] if share != 0.0 else 0.0
         return law
 
-    def _driven(self, key: tuple[float, ...], law: Array) -> list[Array]:
-        """Forces of all trials, [T each]; cached, because most points share them."""
-        if key not in self._forces:
-            if len(self._forces) > 16:
-                self._forces.clear()
-            found = []
-            for k, m in enumerate(self._motions):
-                held = self._held(k, key[0] + key[1])
-                out = np.empty_like(held)
-                laws.drive(held, law, m.grid.step_s / self._each, out)
-                found.append(out)
-            self._forces[key] = found
-        return self._forces[key]
+    def _driven(
+        self, dead_s: float, late_s: float, width: float, limit: float, lag_s: float, scale: float
+    ) -> list[Array]:
+        """Forces of all trials, [T each], by the parameters of `_INPUT`."""
+        law, found = np.zeros(laws.COLUMNS), []
+        law[laws.WIDTH], law[laws.LIMIT], law[laws.LAG] = width, limit, lag_s
+        law[laws.GAIN] = self._gain * (1 + scale)
+        for k, m in enumerate(self._motions):
+            held = self._delayed(k, dead_s + late_s)
+            out = np.empty_like(held)
+            laws.drive(held, law, m.grid.step_s / self._each, out)
+            found.append(out)
+        return found
 
     def _held(self, k: int, delay_s: float) -> Array:
         """Mean of the delayed input over every step; a delay may be any fraction of a sample."""
-        if (k, delay_s) not in self._late:
-            if len(self._late) > 64 * len(self._motions):
-                self._late.clear()
-            g = self._motions[k].grid
-            start_s, count = g.t_s[0] - delay_s, len(g.t_s) * self._each
-            self._late[k, delay_s] = held_means(self._inputs[k], start_s, g.step_s / self._each, count)
-        return self._late[k, delay_s]
+        g = self._motions[k].grid
+        return held_means(self._inputs[k], g.t_s[0] - delay_s, g.step_s / self._each, len(g.t_s) * self._each)
+
+    def _measure(
+        self, units: tuple[str, str, str], sent: Sequence[Array], limit: float, step: float
+    ) -> DrivenMassScales:
+        """Scales of the recordings; units: of position, force and input."""
+        found, gain, largest = self._motions, abs(self._gain), _largest(sent)
+        speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
+        return DrivenMassScales(
+            *units,
+            input=largest,
+            force=gain * largest,
+            usual=gain * float(np.mean([np.mean(np.abs(u)) for u in sent])),
+            speed=max(speed, 1e-9),
+            travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
+            resolution=max(step, *(m.noise for m in found)),
+            step_s=float(np.median([m.grid.step_s for m in found])),
+            period_s=period(found, limit, speed_alone=self._speed_alone),
+        )
 
     def _starts(self, m: Motion, edges: NDArray[np.int64]) -> laws.Windows:
         """Windows of a trial with the measured state at the start of each."""
@@ -219,7 +224,7 @@ class DrivenMassView(RigView):
         """Features for a flexible model of the residual; sums over a window, because a push shows long after."""
         m, edges = self._motions[k], self._edges[k]
         t, v = m.grid.t_s, m.speed
-        force = self._gain * self._held(k, self.nominal("dead_time.delay")).reshape(len(t), -1).mean(axis=1)
+        force = self._gain * self._delayed(k, self.nominal("dead_time.delay")).reshape(len(t), -1).mean(axis=1)
         direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
         signals = {"force": force, "speed": v, "direction": direction}
         signals |= {"time since reversal": time_since_change(t, np.sign(v)), "position": m.position}
@@ -245,32 +250,3 @@ def _largest(signals: Sequence[Array]) -> float:
             "the force is zero in every trial, so nothing drives the mass; check `source` in the stage.yaml"
         )
     return largest
-
-
-def _scales(
-    trials: Sequence[Trial],
-    measured: Sequence[Motion],
-    driver: str,
-    gain: float,
-    limit: float,
-    step: float,
-    length: str,
-    force_unit: str,
-) -> DrivenMassScales:
-    column = "position" if "position" in measured[0].grid.columns else "velocity"
-    largest = _largest([t.channel("force")[driver] for t in trials])
-    speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in measured])), 0.99))
-    travel = float(max(np.ptp(m.position) for m in measured))
-    return DrivenMassScales(
-        length=length,
-        force_unit=force_unit,
-        input_unit=force_unit if driver == "force" else DRIVEN_BY[driver],
-        input=largest,
-        force=gain * largest,
-        usual=gain * float(np.mean([np.mean(np.abs(t.channel("force")[driver])) for t in trials])),
-        speed=max(speed, 1e-9),
-        travel=max(travel, 1e-9),
-        resolution=max(step, *(m.noise for m in measured)),
-        step_s=float(np.median([m.grid.step_s for m in measured])),
-        period_s=period(measured, limit, speed_alone=column == "velocity"),
-    )

@@ -26,17 +26,10 @@ class Grid:
 
 
 def grid(series: Series, rate_max_hz: float = RATE_MAX_HZ, columns: Sequence[str] | None = None) -> Grid:
-    """Resample a channel to uniform stamps.
+    """Resample columns of a channel, all by default, to uniform stamps.
 
-    A fast source is averaged in bins, which also filters aliases; a slow source is interpolated linearly.
-
-    Args:
-        series: channel with its own stamps.
-        rate_max_hz: highest rate of the result.
-        columns: columns to resample; all by default.
-
-    Raises:
-        TrialError: if the channel has fewer than 20 samples.
+    A source that is faster than `rate_max_hz` is averaged in bins, which also filters aliases; a slow source is
+    interpolated linearly. Raises TrialError if the channel has fewer than 20 samples.
     """
     if len(series) < 20:
         raise TrialError(f"a channel has {len(series)} samples, a fit needs at least 20; leave this trial out")
@@ -66,13 +59,9 @@ def held_integral(series: Series, values: Array, margin_s: float) -> tuple[Array
 
 
 def held_means(integral: tuple[Array, Array], start_s: float, step_s: float, count: int) -> Array:
-    """Return the means of held values over steps, [count]; a start may be any fraction of a sample.
+    """Return the means of held values over steps, [count]; integral: result of `held_integral`.
 
-    Args:
-        integral: result of `held_integral`.
-        start_s: start of the first step.
-        step_s: length of a step.
-        count: number of steps.
+    The first step's start may be any fraction of a sample.
     """
     return np.asarray(np.diff(np.interp(start_s + step_s * np.arange(count + 1), *integral)) / step_s)
 
@@ -119,17 +108,17 @@ def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
     count = max(1, round((end - start) / seconds))
     if count == 1:
         return (trial,)
-    edges = np.linspace(start, end, count + 1)
+    edges = (*np.linspace(start, end, count + 1)[:-1], np.inf)
     return tuple(
         replace(
             trial,
             name=f"{trial.name} from {low - start:.4g} s",
-            channels={name: _between(s, low, high, high == end) for name, s in trial.channels.items()},
+            channels={name: kept(s, (s.t_s >= low) & (s.t_s < high)) for name, s in trial.channels.items()},
         )
         for low, high in pairwise(edges)
     )
 
 
-def _between(series: Series, low: float, high: float, last: bool) -> Series:
-    keep: NDArray[np.bool_] = (series.t_s >= low) & ((series.t_s <= high) if last else (series.t_s < high))
+def kept(series: Series, keep: NDArray[np.bool_]) -> Series:
+    """Return the samples of a channel that are kept."""
     return Series(series.t_s[keep], {name: values[keep] for name, values in series.columns.items()})

@@ -1,6 +1,6 @@
 """Measured motion of one axis or joint, smoothed, and its windows, whose starts a view fits."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +22,8 @@ WINDOW_PERIODS, SAMPLES_LEAST, BLOCK_WINDOWS = 0.8, 16, 2
 # Lengths of smoothing filters, samples; the longest whose residual is at most NOISE_MORE times the noise is used.
 SMOOTHED = (5, 9, 17, 33, 65)
 NOISE_MORE = 1.3
+# Shares of the largest speed up to which an axis rests, and moves slowly.
+STILL, SLOW = 0.01, 0.15
 # Uncertainty of times, as a share of the time between two inputs; simulated rigs and joints showed 0.03.
 TIMED = 0.05
 
@@ -87,13 +89,8 @@ def motions(
 def period(found: Sequence[Motion], limit: float | None = None, *, speed_alone: bool = False) -> float:
     """Return the period of the usual motion, s.
 
-    It is that of a sine with the same travel and speed, or with the same travel and the largest acceleration if that
-    is shorter, as where friction takes most of the force.
-
-    Args:
-        found: motion of every trial.
-        limit: largest acceleration; None leaves out the second sine.
-        speed_alone: whether the speed is measured instead of the position.
+    It is that of a sine with the same travel and speed, or with the same travel and the largest acceleration `limit`
+    if that is shorter, as where friction takes most of the force.
     """
     periods = []
     for m in found:
@@ -132,15 +129,26 @@ def window_edges(g: Grid, window_s: float) -> NDArray[np.int64]:
 def directions(m: Motion, edges: NDArray[np.int64], least: float) -> tuple[Array, Array]:
     """Return the sign of the motion at each window's start, 0 at rest, and that of the last motion before, [W] each.
 
-    Args:
-        m: motion of a trial.
-        edges: result of `window_edges`.
-        least: speed from which the axis moves.
+    The axis is at rest up to the speed `least`; edges are a result of `window_edges`.
     """
     sign = np.where(np.abs(m.speed) > least, np.sign(m.speed), 0.0)
     last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
     first = edges[:-1]
     return sign[first], sign[last[first]]
+
+
+def regimes(features: Mapping[str, Array], top: float, period_s: float) -> dict[str, NDArray[np.bool_]]:
+    """Return parts of the data by speed and direction, [M] masks; top: largest speed."""
+    speed = features["speed"]
+    still = np.abs(speed) < STILL * top
+    return {
+        "at rest": still,
+        "moving slowly": ~still & (np.abs(speed) < SLOW * top),
+        "moving fast": np.abs(speed) > 0.5 * top,
+        "moving forwards": speed > STILL * top,
+        "moving backwards": speed < -STILL * top,
+        "after a reversal": (features["time since reversal"] < 0.1 * period_s) & ~still,
+    }
 
 
 def time_uncertainty(input_step_s: float) -> dict[str, float]:

@@ -4,6 +4,7 @@ The nominal model follows at once and exactly, unless the stage.yaml gives it a 
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ class TrackingView(RigView):
             np.median(np.concatenate([*(_between_changes(s) for s in sent), [self.scales.longest_s]]))
         )
         self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
-        self._late: dict[tuple[int, float], tuple[Array, Array]] = {}
+        self._delayed = lru_cache(64 * len(trials))(self._command)
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -155,23 +156,18 @@ class TrackingView(RigView):
         parts = []
         for k, g in enumerate(self._grids):
             out = np.empty(len(g.t_s))
-            law.follow(*self._command(k, delay), self._starts[k], numbers, g.step_s / self._each, self._each, out)
+            law.follow(*self._delayed(k, delay), self._starts[k], numbers, g.step_s / self._each, self._each, out)
             parts.append(out)
         return np.asarray(self.measured - np.concatenate(parts)[:, None])
 
     def _command(self, k: int, delay_s: float) -> tuple[Array, Array]:
         """Delayed command of trial k: its mean over every substep, and its value just before each substep's edge."""
-        key = (k, delay_s)
-        if key not in self._late:
-            if len(self._late) > 64 * len(self._grids):
-                self._late.clear()
-            g, (t, summed) = self._grids[k], self._commands[k]
-            h = g.step_s / self._each
-            edges = g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1)
-            held = np.diff(summed) / np.diff(t)
-            last = np.clip(np.searchsorted(t, edges) - 1, 0, len(held) - 1)
-            self._late[key] = np.diff(np.interp(edges, t, summed)) / h, held[last]
-        return self._late[key]
+        g, (t, summed) = self._grids[k], self._commands[k]
+        h = g.step_s / self._each
+        edges = g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1)
+        held = np.diff(summed) / np.diff(t)
+        last = np.clip(np.searchsorted(t, edges) - 1, 0, len(held) - 1)
+        return np.diff(np.interp(edges, t, summed)) / h, held[last]
 
 
 def velocity_warnings(trials: Sequence[Trial]) -> list[str]:

@@ -86,17 +86,9 @@ class RigView:
         step: float,
         signals: Sequence[Mapping[str, Array]],
     ) -> None:
-        """Join the samples of all trials.
+        """Join the samples of all trials: stamps [T], values [T, S] of the channels, and features [T] by name.
 
-        Args:
-            stage: name of the stage.
-            unit: unit of every channel.
-            channels: names of the S measured channels.
-            effects: effects that the stage can have.
-            t_s: stamps of each trial, [T].
-            measured: measured values of each trial, [T, S].
-            step: resolution of the encoder, in `unit`; 0 if it has none.
-            signals: features of each trial by name, [T] each.
+        step: resolution of the encoder, in `unit`; 0 if it has none.
         """
         self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
         self.t_s: Array = np.concatenate(t_s)

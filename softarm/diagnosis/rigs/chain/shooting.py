@@ -74,11 +74,9 @@ class Shooting:
             self._seen[k, : len(values)] = np.nan_to_num(values)
 
     def residuals(self, laws: Sequence[Law], torque: Array) -> Array:
-        """Return measured minus simulated angles, [P, W, T, n]; values beyond a window's end are meaningless.
+        """Return measured minus simulated angles at P points, [P, W, T, n], under torques at every step, N m [W, K, n].
 
-        Args:
-            laws: parameters at P points.
-            torque: motor torques at every step, N m, [W, K, n].
+        Values beyond a window's end are meaningless.
         """
         return np.concatenate([self._residuals(laws[i : i + AT_ONCE], torque) for i in range(0, len(laws), AT_ONCE)])
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ from softarm.diagnosis.rigs.chain.effects import (
 )
 from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
-from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
+from softarm.diagnosis.rigs.grid import Grid, grid, kept, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values
 
@@ -72,8 +73,8 @@ class ChainView(RigView):
         self._fastest_s = fastest
         rate_hz = min(max(SAMPLES_PER_PERIOD / fastest, RATE_LEAST_HZ), RATE_MOST_HZ)
         grids = [grid(t.channel("measured"), rate_hz) for t in trials]
-        shown = [measured(chain, np.stack([g.columns[name] for name in names], axis=1)) for g in grids]
-        raw = [measured(chain, np.stack([t.channel("measured")[n] for n in names], axis=1)) for t in trials]
+        shown = [measured(chain, _joined(g.columns, "angle", chain.n)) for g in grids]
+        raw = [measured(chain, _joined(t.channel("measured").columns, "angle", chain.n)) for t in trials]
         joints_own = [resolution([np.round(each[:, i], 9) for each in raw]) for i in range(chain.n)]
         step = min((each for each in joints_own if each > 0), default=0.0)
         self._step_s = float(np.median([g.step_s for g in grids]))
@@ -94,7 +95,7 @@ class ChainView(RigView):
         for i, name in enumerate(of_joints("viscous", chain.n)):
             self._known[f"damping.{name}"] = float(chain.viscous[i])
         self._known |= given_values(stage, found)
-        self._late: dict[float, Array] = {}
+        self._delayed = lru_cache(64)(self._torques)
         self._shooting = self._begin(shown)
         self._lost = self._without_lost()
         self._unstable = self._without_unstable()
@@ -127,13 +128,10 @@ class ChainView(RigView):
         The torque of the row before and of the row after are compared: at a jump the swing differs by hundreds of noise
         floors, otherwise by a few.
         """
-        either = [
-            np.stack([_filled(self._torque(k, 0.0, side), self._steps) for k in range(len(self._trials))])
-            for side in ("before", "after")
-        ]
-        if np.array_equal(either[0], either[1]):
+        before, after = self._torques(0.0, "before"), self._torques(0.0, "after")
+        if np.array_equal(before, after):
             return ()
-        held, given = (self._shooting.residuals([self._law({})], torque)[0] for torque in either)
+        held, given = (self._shooting.residuals([self._law({})], torque)[0] for torque in (before, after))
         kept = self._shooting.kept
         moved = [
             float(np.sqrt(np.mean(((g - h)[keep] / self.floor) ** 2)))
@@ -171,7 +169,7 @@ class ChainView(RigView):
     @property
     def growth(self) -> Array:
         """Factor by which an error of an angle at a window's start grows at most within the window, [W]."""
-        return self._shooting.growth(self._law({}), self._torques(0.0))
+        return self._shooting.growth(self._law({}), self._delayed(0.0))
 
     @property
     def growing(self) -> frozenset[int]:
@@ -221,7 +219,7 @@ class ChainView(RigView):
         each = np.eye(self._chain.n)
         chains = [self._chain, *(self._chain.reweighed(MASS_SHARE * one, 0 * one) for one in each)]
         chains += [self._chain.reweighed(0 * one, INERTIA_SHARE * one) for one in each]
-        left = self._shooting.residuals([self._law({}, chain) for chain in chains], self._torques(0.0))
+        left = self._shooting.residuals([self._law({}, chain) for chain in chains], self._delayed(0.0))
         found = left[:, self._shooting.kept].astype(np.float32)
         found[:, ~np.isfinite(self.measured)] = np.nan
         return np.asarray(found[1:] - found[0])
@@ -232,7 +230,7 @@ class ChainView(RigView):
         delays = np.array([self.value(point, "dead_time.delay") for point in points])
         for delay in np.unique(delays):
             mine = np.flatnonzero(delays == delay)
-            left = self._shooting.residuals([self._law(points[int(i)]) for i in mine], self._torques(float(delay)))
+            left = self._shooting.residuals([self._law(points[int(i)]) for i in mine], self._delayed(float(delay)))
             found[mine] = left[:, self._shooting.kept]
         found[:, ~np.isfinite(self.measured)] = np.nan
         return found
@@ -261,18 +259,14 @@ class ChainView(RigView):
         table[law.OFFSET] = self._values(point, "torque_offset.torque")
         return Law(rows, self._values(point, "sensor_bias.bias"))
 
-    def _torques(self, delay_s: float) -> Array:
-        """Delayed torques of all windows at every step, [W, K, n]."""
-        if delay_s not in self._late:
-            if len(self._late) > 64:
-                self._late.clear()
-            found = [self._torque(k, delay_s) for k in range(len(self._grids))]
-            self._late[delay_s] = np.stack([_filled(each, self._steps) for each in found])
-        return self._late[delay_s]
+    def _torques(self, delay_s: float, lost: _Side | None = None) -> Array:
+        """Delayed torques of all windows at every step, [W, K, n]; missing rows take the values of side `lost`."""
+        return self._stacked([self._torque(k, delay_s, lost) for k in range(len(self._grids))])
 
-    @property
-    def _steps(self) -> int:
-        return max(len(g.t_s) for g in self._grids) * self._each
+    def _stacked(self, parts: Sequence[Array]) -> Array:
+        """Stack values at every step of each window, [W, K, ...]; shorter windows repeat their last row."""
+        steps = max(len(g.t_s) for g in self._grids) * self._each
+        return np.stack([np.concatenate((x, np.repeat(x[-1:], steps - len(x), axis=0))) for x in parts])
 
     def _torque(self, k: int, delay_s: float, lost: _Side | None = None) -> Array:
         """Means of a window's torques over every step, [T each, n]; missing rows take the values of side `lost`."""
@@ -307,7 +301,7 @@ class ChainView(RigView):
 
     def _begin(self, shown: Sequence[Array]) -> Shooting:
         chain, floor = self._chain, float(self.floor.mean())
-        push = np.stack([_filled(each, self._steps) for each in self._pushes])
+        push = self._stacked(self._pushes)
         guess, misfit = (np.stack(each) for each in zip(*map(self._guess, range(len(shown)), shown), strict=True))
         rates = joints(guess[:, chain.n :])
         moving = np.where(np.abs(rates) > STILL_SHARE * self.scales.rate_rad_s, np.sign(rates), 0.0)
@@ -323,11 +317,9 @@ class ChainView(RigView):
 
         A motor may move a link faster than its weight, so fewer samples are used while the residual is large.
         """
-        g, chain = self._grids[k], self._chain
-        names = [f"rate{i + 1}" for i in range(chain.n)]
-        rates = None
-        if all(name in g.columns for name in names):
-            rates = measured(chain, np.stack([g.columns[name] for name in names], axis=1))
+        columns, chain, rates = self._grids[k].columns, self._chain, None
+        if all(f"rate{i + 1}" in columns for i in range(chain.n)):
+            rates = measured(chain, _joined(columns, "rate", chain.n))
         first = min(len(seen), max(8, round(GUESS_PERIODS * self._fastest_s / self._step_s)))
         parts = []
         for i in range(chain.n):
@@ -339,6 +331,11 @@ class ChainView(RigView):
             parts.append(part)
         found = np.array(parts)
         return absolute(chain, found[:, :2].T).ravel(), found[:, 2]
+
+
+def _joined(columns: Mapping[str, Array], name: str, n: int) -> Array:
+    """Columns of n joints side by side, [T, n]."""
+    return np.stack([columns[f"{name}{i}"] for i in range(1, n + 1)], axis=1)
 
 
 def _cubic(seen: Array, rates: Array | None, size: int, step_s: float) -> tuple[float, float, float]:
@@ -365,7 +362,7 @@ def _periods(chain: Chain, trials: Sequence[Trial]) -> tuple[float, float]:
     found = []
     for trial in trials:
         g = grid(trial.channel("measured"), RATE_MOST_HZ)
-        seen = np.stack([g.columns[f"angle{i}"] for i in range(1, chain.n + 1)], axis=1)
+        seen = _joined(g.columns, "angle", chain.n)
         found.append(periods_seen(seen, np.gradient(np.nan_to_num(seen), g.step_s, axis=0)))
     usual = float(np.median(found))
     return usual, usual
@@ -373,23 +370,13 @@ def _periods(chain: Chain, trials: Sequence[Trial]) -> tuple[float, float]:
 
 def _cut(trial: Trial, seconds: float, margin_s: float) -> tuple[Trial, ...]:
     """Cut a trial into windows of about a length, with the torque and base motion of a margin around each."""
-    return tuple(_with_margin(part, trial, margin_s) for part in windows(trial, seconds))
-
-
-def _with_margin(part: Trial, whole: Trial, margin_s: float) -> Trial:
-    """Return a window with the torque and base motion of a margin around it."""
-    t = part.channels["measured"].t_s
-    channels = {"measured": part.channels["measured"]}
-    for name, series in whole.channels.items():
-        if name != "measured":
-            keep = (series.t_s >= t[0] - margin_s) & (series.t_s <= t[-1] + margin_s)
-            channels[name] = Series(series.t_s[keep], {c: values[keep] for c, values in series.columns.items()})
-    return replace(part, channels=channels)
-
-
-def _filled(values: Array, size: int) -> Array:
-    """Extend rows to `size` by repeating the last one."""
-    return np.concatenate((values, np.repeat(values[-1:], size - len(values), axis=0)))
+    found = []
+    for part in windows(trial, seconds):
+        seen = part.channels["measured"]
+        low, high = seen.t_s[0] - margin_s, seen.t_s[-1] + margin_s
+        around = {name: kept(s, (s.t_s >= low) & (s.t_s <= high)) for name, s in trial.channels.items()}
+        found.append(replace(part, channels={**around, "measured": seen}))
+    return tuple(found)
 
 
 def _one_sided(series: Series, side: _Side) -> Series:
@@ -423,7 +410,7 @@ def _push(trial: Trial, g: Grid, each: int) -> Array:
     if "base" not in trial.channels:
         return np.zeros(steps)
     h, pad = g.step_s / each, 8
-    edges = g.t_s[0] + h * (np.arange(-pad, steps + pad + 1) - 0.0)
+    edges = g.t_s[0] + h * np.arange(-pad, steps + pad + 1)
     position = _means(trial.channels["base"], "position", edges)
     found = savgol_filter(position, 7, 4, deriv=2, delta=h)
     return np.asarray(found[pad : pad + steps])

@@ -98,14 +98,7 @@ def travel(start, side, drive, path, law, step_s, each, out):
 def residuals(windows, drive, path, law, step_s, each, out):
     """Simulate every window from its guessed start and write measured minus predicted values to out [T].
 
-    Args:
-        windows: measured windows.
-        drive: drive of the actuator at each integration step, [T each].
-        path: rigid-body terms at each sample, [ROWS, T].
-        law: parameters by the columns above.
-        step_s: sampling interval.
-        each: integration steps per sample.
-        out: result, [T].
+    Other arguments are those of `travel`, for all windows.
     """
     for w in range(len(windows.edges) - 1):
         a, b = windows.edges[w], windows.edges[w + 1]

@@ -233,10 +233,8 @@ class Mechanism:
                 "one; join them, or leave the joint's column out"
             )
         self._refuse_nonlinear(i)
-        gear, bias = (
-            float(m.actuator_gear[i, 0]),
-            m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE)),
-        )
+        gear = float(m.actuator_gear[i, 0])
+        bias = m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE))
         low, high = -np.inf, np.inf
         if m.actuator_forcelimited[i]:
             low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
@@ -261,19 +259,11 @@ class Mechanism:
 
     def _refuse_nonlinear(self, i: int) -> None:
         """Raise TrialError for an actuator that is not affine in its command."""
-        m, mujoco = self.model, self._mujoco
-        dynamics = (
-            int(mujoco.mjtDyn.mjDYN_NONE),
-            int(mujoco.mjtDyn.mjDYN_FILTER),
-            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
-        )
-        affine = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-        fixed = int(mujoco.mjtGain.mjGAIN_FIXED)
-        if (
-            m.actuator_gaintype[i] != fixed
-            or m.actuator_biastype[i] not in affine
-            or m.actuator_dyntype[i] not in dynamics
-        ):
+        m, gain, bias, dyn = self.model, self._mujoco.mjtGain, self._mujoco.mjtBias, self._mujoco.mjtDyn
+        affine = m.actuator_gaintype[i] == int(gain.mjGAIN_FIXED)
+        affine &= m.actuator_biastype[i] in map(int, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE))
+        affine &= m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT))
+        if not affine:
             raise TrialError(
                 f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor general "
                 "actuator with fixed gain and affine bias; write it as one of these, or leave its joint's column out"

@@ -1,6 +1,7 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,11 +16,14 @@ from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
 from softarm.diagnosis.rigs.motion import (
+    SLOW,
+    STILL,
     Motion,
     directions,
     motion,
     motions,
     period,
+    regimes,
     summed_twice,
     time_uncertainty,
     window_edges,
@@ -46,9 +50,6 @@ MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
 OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
-# Shares of the largest speed that bound the regimes.
-SLOW, STILL = 0.15, 0.01
-_INPUT = ("dead_time.delay", "latency.delay", "lag.time", "rate_limit.rate", "command_bias.bias")
 
 
 class JointView(RigView):
@@ -77,7 +78,7 @@ class JointView(RigView):
         window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
         self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         self._each = self._substeps()
-        self._drives: dict[tuple[float, ...], list[Array]] = {}
+        self._drives = lru_cache(64)(self._driven)
         signals = [self._signals(k) for k in range(len(trials))]
         seen = [self._compared(k) for k in range(len(trials))]
         stamps = [m.grid.t_s for m in self._motions]
@@ -293,16 +294,7 @@ class JointView(RigView):
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by speed and direction."""
-        speed, top = self.features["speed"], self._scales.speed
-        still = np.abs(speed) < STILL * top
-        return {
-            "at rest": still,
-            "moving slowly": ~still & (np.abs(speed) < SLOW * top),
-            "moving fast": np.abs(speed) > 0.5 * top,
-            "moving forwards": speed > STILL * top,
-            "moving backwards": speed < -STILL * top,
-            "after a reversal": (self.features["time since reversal"] < 0.1 * self._scales.period_s) & ~still,
-        }
+        return regimes(self.features, self._scales.speed, self._scales.period_s)
 
     def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
         """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
@@ -322,7 +314,10 @@ class JointView(RigView):
             (base if other is None else other[k]) + share * heavier + mass * loaded
             for k, (base, heavier, loaded) in enumerate(self._terms)
         ]
-        return self._law(at), self._driven(at), paths
+        delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
+        factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
+        rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
+        return self._law(at), self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor), paths
 
     def _left(self, k: int, windows: laws.Windows, path: Array, law: Array, drive: Array) -> Array:
         """Return measured minus predicted values of a trial from the windows' starts, [T]; path: rigid-body terms."""
@@ -377,26 +372,19 @@ class JointView(RigView):
         law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
         return law
 
-    def _driven(self, at: Mapping[str, float]) -> list[Array]:
-        """Drive of the actuator at every integration step of all trials, [T each]; cached by its own parameters."""
+    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> list[Array]:
+        """Drive of the actuator at every integration step of all trials, [T each]."""
         actuator = self._actuator
         if actuator is None:
             return [np.zeros(len(m.seen) * self._each) for m in self._motions]
-        factor = (1 + at["gain.scale"]) * (1 + at.get("position_gain.scale", 0.0))
-        key = (*(at.get(path, 0.0) for path in _INPUT), factor)
-        if key not in self._drives:
-            if len(self._drives) > 64:
-                self._drives.clear()
-            found = []
-            for m, integral in zip(self._motions, self._inputs, strict=True):
-                h, start_s = m.grid.step_s / self._each, m.grid.t_s[0] - (key[0] + key[1])
-                held = held_means(integral, start_s, h, len(m.seen) * self._each)
-                out = np.empty_like(held)
-                laws.follow(held, at.get("rate_limit.rate", np.inf), key[2], h, out)
-                command = actuator.scale * (out + key[4]) + actuator.offset
-                found.append(factor * command)
-            self._drives[key] = found
-        return self._drives[key]
+        found = []
+        for m, integral in zip(self._motions, self._inputs, strict=True):
+            h = m.grid.step_s / self._each
+            held = held_means(integral, m.grid.t_s[0] - delay_s, h, len(m.seen) * self._each)
+            out = np.empty_like(held)
+            laws.follow(held, rate, lag_s, h, out)
+            found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
+        return found
 
     def _compared(self, k: int) -> Array:
         """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
