@@ -34,25 +34,20 @@ def law(**values):
     return found
 
 
-def travelled(parameters, drive, path, start=(0.0, 0.0), h=H):
-    """Return the positions at every step."""
+def travelled(parameters, drive, path=None, start=(0.0, 0.0)):
+    """Return the positions at every step; by default of a joint without any load, with an inertia of one."""
     out = np.empty(len(drive))
-    laws.travel(np.array(start), 0.0, drive, path, parameters, h, 1, out)
+    if path is None:
+        path = np.zeros((laws.ROWS, len(drive)))
+        path[laws.INERTIA] = 1.0
+    laws.travel(np.array(start), 0.0, drive, path, parameters, H, 1, out)
     return out
-
-
-def bare(size, inertia=1.0):
-    """Return rigid-body terms of a joint without any load."""
-    path = np.zeros((laws.ROWS, size))
-    path[laws.INERTIA] = inertia
-    return path
 
 
 @pytest.mark.parametrize(("dry", "kp", "limit"), [(0.0, 20, 10), (0.1, 20, 10), (0.1, 60, 0.8)])
 def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
-    text = SERVO.format(damping=0.05, dry=dry, kp=kp, limit=limit)
     file = tmp_path / "servo.xml"
-    file.write_text(text)
+    file.write_text(SERVO.format(damping=0.05, dry=dry, kp=kp, limit=limit))
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     command = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(3000)))
@@ -63,37 +58,31 @@ def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
         mujoco.mj_step(model, data)
     joint = Mechanism(file).joint("elbow")
     path = Mechanism(file).terms(joint, {"elbow": (q, v, np.zeros(3000))})
-    own = law(
-        KP=joint.actuator.kp,
-        KD=joint.actuator.kd,
-        LOW=joint.actuator.low,
-        HIGH=joint.actuator.high,
-        VISCOUS=joint.viscous,
-        DRY=joint.dry,
-    )
+    servo = joint.actuator
+    own = law(KP=servo.kp, KD=servo.kd, LOW=servo.low, HIGH=servo.high, VISCOUS=joint.viscous, DRY=joint.dry)
     assert travelled(own, joint.actuator.scale * command, path) == pytest.approx(q, abs=5e-4)
 
 
 def test_viscous_friction_lets_the_speed_decay():
-    found = travelled(law(VISCOUS=0.5), np.zeros(4000), bare(4000), start=(0.0, 1.0))
+    found = travelled(law(VISCOUS=0.5), np.zeros(4000), start=(0.0, 1.0))
     assert found[-1] == pytest.approx((1 - math.exp(-0.5 * 4)) / 0.5, rel=1e-3)
 
 
 def test_dry_friction_holds_a_joint_below_its_level_and_slows_it_above():
-    assert np.abs(travelled(law(DRY=1.0), np.full(1000, 0.9), bare(1000))).max() == 0
-    found = travelled(law(DRY=1.0), np.full(1000, 1.5), bare(1000))
+    assert np.abs(travelled(law(DRY=1.0), np.full(1000, 0.9))).max() == 0
+    found = travelled(law(DRY=1.0), np.full(1000, 1.5))
     assert found[-1] == pytest.approx(0.5 * 0.5 * 0.999**2, rel=5e-3)
 
 
 def test_errors_within_the_dead_band_make_no_torque():
-    found = travelled(law(KP=50.0, KD=30.0, WIDTH=0.1), np.full(9000, 50.0), bare(9000))
+    found = travelled(law(KP=50.0, KD=30.0, WIDTH=0.1), np.full(9000, 50.0))
     assert found[-1] == pytest.approx(0.9, abs=5e-3)
 
 
 def test_play_delays_a_reversal_by_its_gap():
     there_and_back = np.concatenate((np.full(500, 1.0), np.full(1000, -1.0)))
-    true = travelled(law(), there_and_back, bare(1500))
-    seen = travelled(law(GAP=0.02), there_and_back, bare(1500))
+    true = travelled(law(), there_and_back)
+    seen = travelled(law(GAP=0.02), there_and_back)
     assert seen.max() == pytest.approx(true.max() - 0.01, abs=1e-4)
     assert seen[-1] == pytest.approx(true[-1] + 0.01, abs=1e-4)
 

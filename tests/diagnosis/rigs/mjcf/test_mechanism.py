@@ -37,11 +37,6 @@ def motion(arm):
     return {name: tuple(random.normal(size=(3, 5)) * [[0.5], [1.0], [3.0]]) for name in arm.joints}
 
 
-def at(motion, name, k):
-    """Return positions, speeds and accelerations of all joints at a sample."""
-    return [np.array([each[d][k] for each in motion.values()]) for d in range(3)]
-
-
 @pytest.mark.parametrize("name", ["base", "elbow", "wrist"])
 def test_the_terms_give_the_torque_that_mujoco_computes(arm, motion, name):
     joint, terms = arm.joint(name), arm.terms(arm.joint(name), motion)
@@ -49,7 +44,7 @@ def test_the_terms_give_the_torque_that_mujoco_computes(arm, motion, name):
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     data = mujoco.MjData(model)
     for k in range(5):
-        data.qpos[:], data.qvel[:], data.qacc[:] = at(motion, name, k)
+        data.qpos[:], data.qvel[:], data.qacc[:] = np.array(list(motion.values()))[:, :, k].T
         mujoco.mj_inverse(model, data)
         inertia, load, by_position, by_speed = terms[:, k]
         q, v, a = (motion[name][d][k] for d in range(3))
@@ -78,8 +73,8 @@ def test_masses_behind_a_joint_and_a_payload_change_its_terms_linearly(arm, moti
     assert whole == pytest.approx(2 * half, rel=1e-6, abs=1e-9)
     assert half[laws.INERTIA].min() > 0
     heavier = arm.terms(joint, motion, Change(mass_share=0.1))
-    armature = joint.armature
-    assert heavier[laws.INERTIA] - armature == pytest.approx(1.1 * (base[laws.INERTIA] - armature), rel=1e-6)
+    own, more = (terms[laws.INERTIA] - joint.armature for terms in (base, heavier))
+    assert more == pytest.approx(1.1 * own, rel=1e-6)
 
 
 def test_an_actuator_is_read_in_the_units_of_its_joint():

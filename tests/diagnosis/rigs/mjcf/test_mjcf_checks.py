@@ -1,7 +1,5 @@
 """Wrong descriptions of a mechanism are reported before the fit, each with its remedy."""
 
-import shutil
-
 import numpy as np
 import pytest
 
@@ -24,14 +22,12 @@ def recorded(tmp_path_factory):
     return found
 
 
-def view(folder, recorded, robot, joint, change=lambda text: text, model=lambda text: text):
-    """Build the view of one joint, with a changed stage.yaml or MJCF."""
+def view(folder, recorded, robot, joint, change=("", ""), model=("", "")):
+    """Build the view of one joint, with a changed stage.yaml or MJCF: the old and the new text of each."""
     (folder / "multisine-0.csv").write_text(recorded[robot])
-    (folder / "stage.yaml").write_text(
-        change(stage_text(ROBOTS[robot]).replace("  - {files: holds-*.csv, kind: holds}\n", ""))
-    )
-    shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
-    (folder / "robot.xml").write_text(model((folder / "robot.xml").read_text()))
+    stage = stage_text(ROBOTS[robot]).replace("  - {files: holds-*.csv, kind: holds}\n", "")
+    (folder / "stage.yaml").write_text(stage.replace(*change))
+    (folder / "robot.xml").write_text(ROBOTS[robot].model.read_text().replace(*model))
     return view_of([t for t in tables.read(folder / "stage.yaml") if t.stage.name == joint])[0]
 
 
@@ -54,18 +50,16 @@ def test_a_right_description_is_accepted(tmp_path, recorded):
 def test_a_wrong_description_names_its_remedy(tmp_path, recorded, robot, joint, old, new, said):
     joint = "pam" if "pam" in new else joint
     with pytest.raises(TrialError, match=said):
-        view(tmp_path, recorded, robot, joint, lambda text: text.replace(old, new))
+        view(tmp_path, recorded, robot, joint, (old, new))
 
 
 def test_a_gear_that_is_left_out_of_the_model_is_reported(tmp_path, recorded):
     with pytest.raises(TrialError, match="write the gear ratio as `gear`"):
-        view(tmp_path, recorded, "leg", "hip", model=lambda text: text.replace('joint="hip" gear="6"', 'joint="hip"'))
+        view(tmp_path, recorded, "leg", "hip", model=('joint="hip" gear="6"', 'joint="hip"'))
 
 
 def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
+    added = "source: q_tilt, unit: rad", "source: q_tilt, unit: rad, add: 3.2"
+    ranged = 'name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'
     with pytest.raises(TrialError, match="their zeros differ: write `add`"):
-        view(
-            tmp_path, recorded, "camera", "tilt",
-            lambda text: text.replace("source: q_tilt, unit: rad", "source: q_tilt, unit: rad, add: 3.2"),
-            lambda text: text.replace('name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'),
-        )  # fmt: skip
+        view(tmp_path, recorded, "camera", "tilt", added, ranged)

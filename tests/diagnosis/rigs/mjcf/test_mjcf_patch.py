@@ -10,26 +10,25 @@ from tests.diagnosis.verdicts import with_parameters as verdict
 ARM = ROBOTS["arm"].model
 
 
+def read(found, folder):
+    """Return the patched model as MuJoCo reads it."""
+    (folder / "patched.xml").write_text(found.text)
+    return mujoco.MjModel.from_xml_path(str(folder / "patched.xml"))
+
+
 def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(tmp_path):
-    found = patch.patched(
-        ARM,
-        verdict(
-            [
-                ("elbow.coulomb_friction.torque", 120.0, "mN m"),
-                ("wrist.damping.viscous", 0.2, "N m s/rad"),
-                ("shoulder.position_gain.scale", -0.25, "-"),
-                ("elbow.ceiling.limit", 2.5, "N m"),
-            ]
-        ),
-        calibration=True,
-    )
+    changes = [
+        ("elbow.coulomb_friction.torque", 120.0, "mN m"),
+        ("wrist.damping.viscous", 0.2, "N m s/rad"),
+        ("shoulder.position_gain.scale", -0.25, "-"),
+        ("elbow.ceiling.limit", 2.5, "N m"),
+    ]
+    found = patch.patched(ARM, verdict(changes), calibration=True)
     before, after = ARM.read_text().splitlines(), found.text.splitlines()
     assert len(before) == len(after)
     assert sum(one != other for one, other in zip(before, after, strict=True)) == 4
     assert found.diff.count("\n+") == 5  # with the header
-    file = tmp_path / "patched.xml"
-    file.write_text(found.text)
-    model = mujoco.MjModel.from_xml_path(str(file))
+    model = read(found, tmp_path)
     assert model.dof_frictionloss[model.joint("elbow").dofadr[0]] == pytest.approx(0.12)
     assert model.dof_damping[model.joint("wrist").dofadr[0]] == pytest.approx(0.2)
     assert model.actuator("shoulder_servo").gainprm[0] == pytest.approx(30)
@@ -41,31 +40,21 @@ def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path)
     file = tmp_path / "geared.xml"
     servo = '<position name="elbow_servo" joint="elbow"'
     file.write_text(ARM.read_text().replace(f"{servo}/>", f'{servo} gear="2"/>'))
-    found = patch.patched(
-        file,
-        verdict([("elbow.position_gain.scale", -0.5, "-"), ("elbow.ceiling.limit", 5.0, "N m")]),
-        calibration=True,
-    )
-    file.write_text(found.text)
-    actuator = mujoco.MjModel.from_xml_path(str(file)).actuator("elbow_servo")
+    changes = [("elbow.position_gain.scale", -0.5, "-"), ("elbow.ceiling.limit", 5.0, "N m")]
+    actuator = read(patch.patched(file, verdict(changes), calibration=True), tmp_path).actuator("elbow_servo")
     assert actuator.gainprm[0] == pytest.approx(20)
     assert actuator.forcerange.tolist() == [-2.5, 2.5]
 
 
 def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
-    found = patch.patched(
-        ARM, verdict([("elbow.payload.mass", 0.1, "kg"), ("shoulder.payload.mass", 0.12, "kg")]), calibration=True
-    )
-    file = tmp_path / "patched.xml"
-    file.write_text(found.text)
-    assert mujoco.MjModel.from_xml_path(str(file)).body("tool").mass[0] == pytest.approx(0.08 + 0.11)
+    payloads = [("elbow.payload.mass", 0.1, "kg"), ("shoulder.payload.mass", 0.12, "kg")]
+    found = patch.patched(ARM, verdict(payloads), calibration=True)
+    assert read(found, tmp_path).body("tool").mass[0] == pytest.approx(0.08 + 0.11)
 
 
 def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
     found = patch.patched(ARM, verdict(calibration=[("elbow.mass_wrist", 0.02, "-")]), calibration=True)
-    file = tmp_path / "patched.xml"
-    file.write_text(found.text)
-    body = mujoco.MjModel.from_xml_path(str(file)).body("wrist")
+    body = read(found, tmp_path).body("wrist")
     assert body.mass[0] == pytest.approx(0.09 * 1.02)
     assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
 
