@@ -15,11 +15,6 @@ HERE = Path(__file__).parent / "pendulum-free"
 PUBLISHED_NM = (5.0e-4, 5.4e-4)
 
 
-def seen():
-    """Return stamps and angles of the excerpt, [N, 2]."""
-    return np.loadtxt(HERE / "free-swing-1.csv", delimiter=",", skiprows=1)
-
-
 @pytest.mark.slow
 def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
     answer, report = tmp_path / "verdict.json", tmp_path / "report.html"
@@ -40,22 +35,10 @@ def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
     assert "dry friction" in report.read_text(encoding="utf-8")
 
 
-def test_the_peaks_decay_linearly_as_with_dry_friction():
-    """A straight line fits the peaks better than an exponential."""
-    t, angle = seen().T
-    swing = np.abs(angle - np.pi)
-    top = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (swing[1:-1] > 0.01)) + 1
-    left = [
-        np.std(swing[top] - law(np.polyval(np.polyfit(t[top], height, 1), t[top])))
-        for height, law in ((swing[top], lambda x: x), (np.log(swing[top]), np.exp))
-    ]
-    assert left[0] < 0.5 * left[1]
-
-
 def test_the_excerpt_is_part_of_the_recording(data):
     with (data / "multiarm-pendulum" / "SingleDataFreeSwing_1_Dt_0_0001.mat").open("rb") as file:
         theta = loadmat(file, squeeze_me=True, struct_as_record=False)["Theta1"]
-    excerpt = seen()
+    excerpt = np.loadtxt(HERE / "free-swing-1.csv", delimiter=",", skiprows=1)
     readings = slice(0, 100 * len(excerpt), 100)
     np.testing.assert_allclose(excerpt[:, 0], theta.time[readings], atol=5.1e-4)
     np.testing.assert_allclose(excerpt[:, 1], theta.signals.values.ravel()[readings], atol=5.1e-7)

@@ -1,20 +1,18 @@
 """Next experiment of a rig: the first set that a motion separates, or the statement that no motion does."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.experiments import NOTHING, between, splitting
 from softarm.diagnosis.rigs.tracking import TrackingView
+from tests.diagnosis.rigs.recordings import recording
 
 
 @pytest.fixture(scope="module")
 def view():
     t = np.arange(800) / 50
-    channels = {"command": Series(t, {"command": np.sin(t)}), "measured": Series(t, {"position": 0.9 * np.sin(t)})}
-    return TrackingView([Trial("one", "sine", Path("one"), channels, stage=TableStage("axis", "tracking", {}))])
+    channels = {"command": {"command": np.sin(t)}, "measured": {"position": 0.9 * np.sin(t)}}
+    return TrackingView([recording("one", "sine", t, channels, ("axis", "tracking", {}))])
 
 
 def test_a_set_that_no_motion_separates_says_so(view):

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.diagnose import view_of
 from softarm.schemas.stage_model import CHANNELS, DESCRIBED, MODEL_KEYS, complaints
+from tests.diagnosis.rigs.recordings import recording
 
 T = np.arange(0, 6, 0.01)
 WAVE = np.sin(3 * T) + 0.5 * np.sin(7.3 * T)
@@ -30,8 +30,7 @@ SECOND = {"length_m": (0.4, 0.2)}  # the last length has no effect
 
 
 def residuals(kind, model):
-    channels = {name: Series(T.copy(), {c: v.copy() for c, v in cs.items()}) for name, cs in SERIES[kind].items()}
-    view, _ = view_of([Trial("one", "waves", Path("one"), channels, stage=TableStage("thing", kind, model))])
+    view, _ = view_of([recording("one", "waves", T, SERIES[kind], ("thing", kind, model))])
     return np.nan_to_num(view.gap([{}]))
 
 

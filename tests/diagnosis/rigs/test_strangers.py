@@ -1,13 +1,12 @@
 """Independently simulated poles with effects that the model may lack."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.diagnose import diagnose
+from tests.diagnosis.rigs.recordings import recording
 
 MODEL = {"mass_kg": 0.5, "centre_m": 0.2, "length_m": 0.4, "inertia_kg_m2": 4e-3, "damping_nm_s_rad": 4e-3}
 INERTIA, WEIGHT = 4e-3 + 0.5 * 0.2**2, 0.5 * 0.2 * 9.81
@@ -38,10 +37,10 @@ def pole(angle, torque, *, spring=0.0, rest=0.0, dry=0.0):
 def recorded(name, kind, angles, torque=None):
     draw = np.random.default_rng(sum(map(ord, name)))
     t = STEP_S * EACH * np.arange(len(angles))
-    channels = {"measured": Series(t, {"angle1": angles + draw.normal(0, NOISE, len(t))})}
+    channels = {"measured": {"angle1": angles + draw.normal(0, NOISE, len(t))}}
     if torque is not None:
-        channels["torque"] = Series(t, {"torque1": torque[::EACH]})
-    return Trial(name, kind, Path(name), channels, stage=TableStage("pole", "chain", MODEL))
+        channels["torque"] = {"torque1": torque[::EACH]}
+    return recording(name, kind, t, channels, ("pole", "chain", MODEL))
 
 
 def driven(**beyond):
