@@ -1,17 +1,17 @@
 """Free and driven chains: their law against another formulation and closed forms, and diagnoses of known causes."""
 
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softarm.diagnosis.data import tables
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.data.trials import Series, TableStage
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.diagnose import view_of
+from tests.diagnosis.rigs.recordings import named, recording, shipped
 
 GRAVITY = 9.81
 # tanh(STEEP x rate) replaces the sign of a rate, s/rad.
@@ -98,29 +98,27 @@ def tones(seed, n, size, fastest=2.0):
     return lambda t: np.ravel(size) * np.sum(part * np.sin(2 * np.pi * hertz * t + phase), axis=1) / 2
 
 
-def trial(name, t, angles, model, torques=None, base=None, *, noise=0.0, step=0.0, seed=0, kind="tones", stage="arm"):
+def trial(name, t, angles, model, torques=None, base=None, *, noise=0.0, step=0.0, seed=0):
     """Return a recording with noise and step of an encoder; torques: requested, [T, n]; base: position, m [T]."""
     seen = angles + noise * np.random.default_rng(seed).normal(size=angles.shape)
     seen = np.round(seen / step) * step if step else seen
-    channels = {"measured": Series(t.copy(), {f"angle{i + 1}": seen[:, i].copy() for i in range(seen.shape[1])})}
+    channels = {"measured": {f"angle{i + 1}": x for i, x in enumerate(seen.T)}}
     if torques is not None:
-        channels["torque"] = Series(t.copy(), {f"torque{i + 1}": x.copy() for i, x in enumerate(torques.T)})
+        channels["torque"] = {f"torque{i + 1}": x for i, x in enumerate(torques.T)}
     if base is not None:
-        channels["base"] = Series(t.copy(), {"position": base.copy()})
-    return Trial(name, kind, Path(name), channels, stage=TableStage(stage, "chain", model))
+        channels["base"] = {"position": base}
+    return recording(name, "tones", t, channels, ("arm", "chain", model))
 
 
-def campaign(
-    model, beyond=None, *, trials=4, seconds=6.0, rate_hz=200.0, size=0.15, noise=2e-4, bias=0.0, nominal=None
-):
-    """Return driven recordings of one chain with different sines; bias: error of the encoders, rad."""
+def campaign(model, beyond=None, *, trials=4, seconds=6.0, size=0.15, noise=2e-4, nominal=None):
+    """Return driven recordings of one chain with different sines."""
     made, found = Made(model, **(beyond or {})), []
     for k in range(trials):
-        t = np.arange(0, seconds, 1 / rate_hz)
+        t = np.arange(0, seconds, 1 / 200)
         torque = tones(k, made.n, size * (0.6 + 0.3 * k))
         angles, _ = made.swing(0.1 * k, t, torque)
         asked = np.stack([torque(x) for x in t])
-        found.append(trial(f"run {k}", t, angles + bias, nominal or model, asked, noise=noise, step=2e-4, seed=k))
+        found.append(trial(f"run {k}", t, angles, nominal or model, asked, noise=noise, step=2e-4, seed=k))
     return found
 
 
@@ -137,18 +135,19 @@ def rms(of, points):
     return np.sqrt(np.nanmean(found**2, axis=(1, 2)))
 
 
-# Effects of a simulated chain, and the same effects as parameters of the view.
+# Effects of two simulated links, and the same effects as parameters of the view.
+DRY = {"coulomb_friction.torque1": 0.03, "coulomb_friction.torque2": 0.015, "coulomb_friction.give": 1e-3}
 LAWS = {
-    "dry": ({"dry": 0.03}, {"coulomb_friction.torque": 0.03, "coulomb_friction.give": 1e-3}),
-    "viscous": ({"viscous": 0.01}, {"damping.scale": 1.0}),
-    "drag": ({"drag": 0.2}, {"drag.coefficient": 0.2}),
-    "payload": ({"payload": 0.06}, {"payload.mass": 0.06}),
-    "weight": ({"weight": 0.1}, {"stiffness.scale": 0.1}),
-    "inertia": ({"inertia": 0.2}, {"inertia.scale": 0.2}),
-    "gain": ({"gain": 0.15}, {"gain.scale": 0.15}),
-    "late": ({"late": 0.02}, {"dead_time.delay": 0.02}),
-    "offset": ({"offset": 0.05}, {"torque_offset.torque": 0.05}),
-    "tilt": ({"tilt": 0.05}, {"tilt.angle": 0.05}),
+    "dry": (np.array((0.03, 0.015)), DRY),
+    "viscous": (np.array((0.01, 0.005)), {"damping.scale1": 0.5, "damping.scale2": 0.5}),
+    "drag": (0.2, {"drag.coefficient": 0.2}),
+    "payload": (0.06, {"payload.mass": 0.06}),
+    "weight": (0.1, {"stiffness.scale": 0.1}),
+    "inertia": (0.2, {"inertia.scale": 0.2}),
+    "gain": (np.array((0.15, 0.075)), {"gain.scale1": 0.15, "gain.scale2": 0.075}),
+    "late": (0.02, {"dead_time.delay": 0.02}),
+    "offset": (np.array((0.05, 0.025)), {"torque_offset.torque1": 0.05, "torque_offset.torque2": 0.025}),
+    "tilt": (0.05, {"tilt.angle": 0.05}),
 }
 
 
@@ -161,16 +160,8 @@ def test_stiffening_of_one_link_agrees_with_an_independent_simulation():
 
 @pytest.mark.parametrize("beyond", LAWS)
 def test_every_law_of_two_links_agrees_with_an_independent_simulation(beyond):
-    made, point = LAWS[beyond]
-    by_joint = {"coulomb_friction.torque", "gain.scale", "torque_offset.torque"}
-    both = {f"{k}{i}": v * (1.0 if i == 1 else 0.5) for k, v in point.items() if k in by_joint for i in (1, 2)}
-    if beyond == "viscous":
-        both = {"damping.scale1": 0.5, "damping.scale2": 0.5}
-    if both:
-        (key,) = made
-        made = {key: np.array((1.0, 0.5)) * made[key]}
-    point = {k: v for k, v in point.items() if k not in by_joint and k != "damping.scale"} | both
-    before, after = rms(view(campaign(TWO, made, trials=1, size=BIG)), [{}, point])
+    size, point = LAWS[beyond]
+    before, after = rms(view(campaign(TWO, {beyond: size}, trials=1, size=BIG)), [{}, point])
     assert after < max(0.12 * before, 5e-4)
     assert before > 1e-3
 
@@ -263,21 +254,6 @@ def test_windows_over_the_top_are_as_short_as_the_growth_of_errors_demands():
     assert np.quantile(found.growth, 0.8) < 5
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize(
-    ("beyond", "name", "parameter", "size"),
-    [
-        ({"payload": 0.06}, "payload", "mass", 0.06),
-        ({"dry": np.array((0.06, 0.02))}, "coulomb_friction", "torque1", 0.06),
-    ],
-)
-def test_a_cause_is_named_from_stretches_over_the_top(beyond, name, parameter, size):
-    verdict, found = named(over_the_top(beyond))
-    assert verdict.verdict == "named"
-    assert set(found) == {name}
-    assert found[name][parameter] == pytest.approx(size, rel=0.1)
-
-
 @pytest.mark.parametrize("late_rows", [0, 40], ids=["torque jumps", "torque is constant"])
 def test_a_missing_row_at_a_torque_jump_excludes_the_window(late_rows):
     """The torque between the neighbouring rows is unknown; interpolation would halve the jump."""
@@ -349,40 +325,31 @@ def test_the_bound_of_viscous_friction_grows_with_the_motor():
     assert high[1] == 4.0
 
 
-def named(trials):
-    verdict = diagnose_table(trials).verdict
-    return verdict, {e.name.partition(".")[2]: {k: p.value for k, p in e.parameters.items()} for e in verdict.effects}
+ONE_LINK, TWO_LINKS = partial(campaign, ONE, seconds=4.0), partial(campaign, TWO, size=BIG, seconds=4.0)
 
 
 def test_no_effect_is_named_on_a_healthy_noisy_arm():
-    verdict, found = named(campaign(TWO, size=BIG, noise=5e-4, seconds=4.0))
+    verdict, found = named(TWO_LINKS(noise=5e-4))
     assert (verdict.verdict, found) == ("none", {})
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize(
-    ("beyond", "name", "parameter", "size"),
+    ("recorded", "beyond", "name", "sizes"),
     [
-        pytest.param({"dry": 0.03}, "coulomb_friction", "torque", 0.03, marks=pytest.mark.prove),
-        pytest.param({"weight": 0.1}, "stiffness", "scale", 0.1, marks=pytest.mark.prove),
-        ({"gain": 0.15}, "gain", "scale", 0.15),
-        pytest.param({"late": 0.02}, "dead_time", "delay", 0.02, marks=pytest.mark.prove),
+        (ONE_LINK, {"dry": 0.03}, "coulomb_friction", {"torque": 0.03}),
+        (ONE_LINK, {"weight": 0.1}, "stiffness", {"scale": 0.1}),
+        (ONE_LINK, {"gain": 0.15}, "gain", {"scale": 0.15}),
+        (ONE_LINK, {"late": 0.02}, "dead_time", {"delay": 0.02}),
+        (TWO_LINKS, {"dry": np.array((0.06, 0.02))}, "coulomb_friction", {"torque1": 0.06, "torque2": 0.02}),
+        (over_the_top, {"payload": 0.06}, "payload", {"mass": 0.06}),
+        (over_the_top, {"dry": np.array((0.06, 0.02))}, "coulomb_friction", {"torque1": 0.06}),
     ],
 )
-def test_only_the_cause_is_named_on_a_driven_link(beyond, name, parameter, size):
-    verdict, found = named(campaign(ONE, beyond, seconds=4.0))
-    assert verdict.verdict == "named"
-    assert set(found) == {name}
-    assert found[name][parameter] == pytest.approx(size, rel=0.1)
-
-
-@pytest.mark.prove
-def test_dry_friction_of_both_joints_is_named_with_both_sizes():
-    verdict, found = named(campaign(TWO, {"dry": np.array((0.06, 0.02))}, size=BIG, seconds=4.0))
-    assert verdict.verdict == "named"
-    assert set(found) == {"coulomb_friction"}
-    assert found["coulomb_friction"]["torque1"] == pytest.approx(0.06, rel=0.1)
-    assert found["coulomb_friction"]["torque2"] == pytest.approx(0.02, rel=0.1)
+def test_only_the_cause_is_named_with_its_sizes(recorded, beyond, name, sizes):
+    verdict, found = named(recorded(beyond))
+    assert (verdict.verdict, set(found)) == ("named", {name})
+    assert {of: found[name][of] for of in sizes} == pytest.approx(sizes, rel=0.1)
 
 
 @pytest.mark.prove
@@ -401,8 +368,7 @@ def test_dry_friction_is_named_next_to_viscous_friction_that_was_fitted_alone():
 @pytest.mark.prove
 def test_a_real_double_pendulum_has_dry_friction_in_both_joints(data):
     """Its authors give 0.093 and 0.078 N m times arctan(100 rate), at most 0.146 and 0.123 N m."""
-    trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "double-pendulum.yaml", data)
-    verdict, found = named(trials)
+    verdict, found = named(shipped("double-pendulum.yaml", data))
     assert "coulomb_friction" in found
     assert "damping" not in found
     assert verdict.effects[0].name == "arm.coulomb_friction"
