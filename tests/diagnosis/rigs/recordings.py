@@ -8,6 +8,16 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 
+# Description of a servo in degrees, with the columns t, u and y.
+SERVO = """
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: deg}}}
+  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg}}}
+trials:
+  - {files: "*.csv"}
+"""
+
 
 def recording(name, kind, t, channels, stage):
     """Return a recording; channels: channel -> column -> values [T]; stage: its arguments."""

@@ -6,36 +6,28 @@ import pytest
 from softarm.diagnosis.data.trials import TableStage, TableUnit
 from softarm.diagnosis.from_files import diagnose_files
 from softarm.diagnosis.rigs.owner_units import owners
+from tests.diagnosis.rigs.recordings import SERVO
 
 T = np.arange(0, 8, 0.02)
-STAGE = """
-name: servo
-kind: tracking
-channels:
-  command: {time: {source: t, unit: ms}, columns: {command: {source: u, unit: UNIT}}}
-  measured: {time: {source: t, unit: ms}, columns: {position: {source: y, unit: UNIT}}}
-trials:
-  - {files: "*.csv"}
-"""
 
 
-def rig(folder, unit, factor):
-    """Write the tables of a servo with an offset of 0.05 rad and an encoder."""
+def rig(folder):
+    """Write the tables of a servo with an offset of 0.05 rad and an encoder, in degrees and milliseconds."""
     draw = np.random.default_rng(4)
     shapes = {"steps": np.sign(np.sin(0.9 * T)), "sine": np.sin(2 * T), "slow": np.sin(0.5 * T)}
     for i, (name, shape) in enumerate(shapes.items()):
         command = 0.4 * shape + 0.1 * i
         position = np.concatenate(([command[0]], command[:-1])) + 0.05
         position = np.round((position + 3e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3
-        rows = zip(1e3 * T, command / factor, position / factor, strict=True)
+        rows = zip(1e3 * T, np.degrees(command), np.degrees(position), strict=True)
         (folder / f"{name}.csv").write_text("t,u,y\n" + "\n".join(",".join(f"{x:.9g}" for x in r) for r in rows) + "\n")
-    (folder / "stage.yaml").write_text(STAGE.replace("UNIT", unit))
-    return folder / "stage.yaml"
+    (folder / "servo.yaml").write_text(SERVO.replace("unit: s", "unit: ms"))
+    return folder / "servo.yaml"
 
 
 @pytest.mark.slow
 def test_a_servo_in_degrees_is_diagnosed_in_degrees(tmp_path):
-    deg = diagnose_files([rig(tmp_path, "deg", np.pi / 180)])
+    deg = diagnose_files([rig(tmp_path)])
     assert deg.verdict.verdict == "named"
     (offset,) = (e.parameters["offset"] for e in deg.verdict.effects if "offset" in e.parameters)
     assert offset.unit == "deg"
@@ -54,20 +46,12 @@ def test_a_servo_in_degrees_is_diagnosed_in_degrees(tmp_path):
 
 
 def stage(kind, **columns):
-    units = {channel: dict(each) for channel, each in columns.items()}
-    return TableStage("x", kind, {}, units)
-
-
-MM, DEG, MBAR, VOLT = (
-    TableUnit("mm", 1e-3, "m"),
-    TableUnit("deg", 0.0175, "rad"),
-    TableUnit("mbar", 0.1, "kPa"),
-    TableUnit("V", 1, "V"),
-)
+    return TableStage("x", kind, {}, columns)
 
 
 def test_rates_are_converted_too():
-    known = owners(stage("tracking", command={"command": VOLT}, measured={"pressure": MBAR}))
+    volt, mbar = TableUnit("V", 1, "V"), TableUnit("mbar", 0.1, "kPa")
+    known = owners(stage("tracking", command={"command": volt}, measured={"pressure": mbar}))
     assert known["kPa"] == ("mbar", 10)
     assert known["kPa/s^2"] == ("mbar/s^2", 10)
     assert known["V/s"] == ("V/s", 1)
@@ -75,7 +59,8 @@ def test_rates_are_converted_too():
 
 
 def test_the_compared_column_determines_the_unit():
-    two = stage("tracking", command={"command": TableUnit("rad", 1, "rad")}, measured={"position": DEG})
+    rad, deg = TableUnit("rad", 1, "rad"), TableUnit("deg", 0.0175, "rad")
+    two = stage("tracking", command={"command": rad}, measured={"position": deg})
     assert owners(two)["rad"][0] == "deg"
     velocity = stage("tracking", measured={"velocity": TableUnit("mm/s", 1e-3, "m/s")})
     assert [owners(velocity)[unit][0] for unit in ("m/s", "m/s^2", "m/s^3")] == ["mm/s", "mm/s^2", "mm/s^3"]
@@ -85,11 +70,6 @@ def test_the_compared_column_determines_the_unit():
 
 
 def test_a_share_keeps_its_unit():
-    assert owners(
-        stage("tracking", command={"command": TableUnit("%", 0.01, "-")}, measured={"position": MM})
-    ).keys() == {
-        "m",
-        "m/s",
-        "m/s^2",
-        "m/s^3",
-    }
+    percent, mm = TableUnit("%", 0.01, "-"), TableUnit("mm", 1e-3, "m")
+    known = owners(stage("tracking", command={"command": percent}, measured={"position": mm}))
+    assert known.keys() == {"m", "m/s", "m/s^2", "m/s^3"}

@@ -13,18 +13,11 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs import patch
 from softarm.diagnosis.rigs.diagnose import view_of
 from softarm.schemas.verdict import Verdict
+from tests.diagnosis.rigs.recordings import SERVO
 from tests.diagnosis.verdicts import with_parameters as found
 
 PENDULUM = Path(__file__).parents[1] / "real" / "pendulum-free"
 T = np.arange(0, 4, 0.01)
-SERVO = """
-kind: tracking
-channels:
-  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: deg}}}
-  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg}}}
-trials:
-  - {files: "*.csv"}
-"""
 
 
 def write(path, text):

@@ -55,7 +55,6 @@ def travel(start, side, drive, path, law, step_s, each, out):
         law: parameters by the columns above.
         step_s: sampling interval.
         each: integration steps per sample.
-        out: result, [T].
     """
     h, size, half = step_s / each, len(out), 0.5 * law[GAP]
     kp, kd, low, high, width = law[KP], law[KD], law[LOW], law[HIGH], law[KP] * law[WIDTH]

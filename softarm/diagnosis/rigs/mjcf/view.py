@@ -63,14 +63,13 @@ class JointView(RigView):
         stage = stage_of(trials)
         self._mechanism = mechanism(Path(str(stage.model["mjcf"])))
         self._joint = joint = self._mechanism.joint(stage.name)
-        self._driver, self._actuator = self._drive(trials)
+        self._actuator, self._inputs = self._drive(trials)
         column = joint.name
         step = resolution([t.channel("measured")[column] for t in trials])
         limit = _acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [self._slopes(around) for around in self._around]
-        self._inputs = self._commands(trials)
         self._refuse_mistakes(trials)
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
@@ -124,22 +123,23 @@ class JointView(RigView):
         longest = min(self._mechanism.step_s, STEP_S, STEP_SHARE / max(np.sqrt(stiff), 1e-9))
         return int(min(np.ceil(self._scales.step_s / longest), SUBSTEPS_MOST))
 
-    def _drive(self, trials: Sequence[Trial]) -> tuple[tuple[str, str] | None, Actuator | None]:
-        """Return channel and column that drive the joint, and its actuator; a measured torque replaces it."""
-        joint, actuator = self._joint, self._joint.actuator
-        if all("torque" in t.channels and joint.name in t.channels["torque"].columns for t in trials):
-            return ("torque", joint.name), Actuator(joint.name)
-        if actuator is None:
-            return None, None
-        lacking = [
-            t for t in trials if "command" not in t.channels or actuator.name not in t.channels["command"].columns
-        ]
-        if lacking:
+    def _drive(self, trials: Sequence[Trial]) -> tuple[Actuator | None, list[tuple[Array, Array]]]:
+        """Return the joint's actuator, and stamps and integral of every trial's command within its range.
+
+        A measured torque replaces the actuator. Without either there are no commands.
+        """
+        joint, actuator, channel = self._joint, self._joint.actuator, "command"
+        if not _lacking(trials, "torque", joint.name):
+            actuator, channel = Actuator(joint.name), "torque"
+        elif actuator is None:
+            return None, []
+        elif lacking := _lacking(trials, channel, actuator.name):
             raise TrialError(
                 f"{lacking[0].source}: joint {joint.name} is moved by the actuator {actuator.name}, whose command is "
                 f"missing; add a column {actuator.name} to `command`, or {joint.name} to `torque`"
             )
-        return ("command", actuator.name), actuator
+        low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
+        return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
 
     def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
         """Return position, speed and acceleration of every measured joint on the grid of the own joint's motion."""
@@ -163,16 +163,16 @@ class JointView(RigView):
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
-        joint, actuator, needed = self._joint, self._actuator, []
-        for m, (base, *_) in zip(self._motions, self._terms, strict=True):
-            friction = joint.viscous * m.speed + joint.dry * np.sign(m.speed)
-            needed.append(_load(base, m) + base[laws.INERTIA] * m.acceleration + friction)
+        joint, actuator = self._joint, self._actuator
+        needed = [
+            _torque(base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
+            for m, (base, *_) in zip(self._motions, self._terms, strict=True)
+        ]
         seen, sent = np.concatenate([m.position for m in self._motions]), None
         if actuator is not None:
             factor = 1.0 if actuator.kp > 0 else actuator.scale
             sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])
-        where = f"{trials[0].source}"
-        if found := [*checks.mistakes(joint, where, seen, sent, np.concatenate(needed))]:
+        if found := [*checks.mistakes(joint, str(trials[0].source), seen, sent, np.concatenate(needed))]:
             raise TrialError("\n".join(found))
 
     def _sent(self, k: int) -> Array:
@@ -180,27 +180,13 @@ class JointView(RigView):
         g = self._motions[k].grid
         return held_means(self._inputs[k], g.t_s[0] - 0.5 * g.step_s, g.step_s, len(g.t_s))
 
-    def _commands(self, trials: Sequence[Trial]) -> list[tuple[Array, Array]]:
-        """Return stamps and integral of every trial's command within the actuator's range; empty without a drive."""
-        if self._driver is None or self._actuator is None:
-            return []
-        channel, column = self._driver
-        low, high = self._actuator.command_low, self._actuator.command_high
-        series = [t.channel(channel) for t in trials]
-        return [held_integral(s, np.clip(s[column], low, high), 10.0) for s in series]
-
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
-        needed, loads, masses, payloads = [], [], [], []
-        for m, (base, heavier, loaded) in zip(found, self._terms, strict=True):
-            load = _load(base, m)
-            loads.append(load)
-            needed.append(load + base[laws.INERTIA] * m.acceleration)
-            masses.append(_load(heavier, m) + heavier[laws.INERTIA] * m.acceleration)
-            payloads.append(_load(loaded, m) + loaded[laws.INERTIA] * m.acceleration)
-        torque, load = np.abs(np.concatenate(needed)), np.abs(np.concatenate(loads))
-        rms = [float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (needed, masses, payloads)]
+        pairs = [*zip(found, self._terms, strict=True)]
+        needed = [np.concatenate([_torque(terms[i], m) for m, terms in pairs]) for i in range(3)]
+        torque, load = np.abs(needed[0]), np.abs(np.concatenate([_load(base, m) for m, (base, *_) in pairs]))
+        rms = [float(np.sqrt(np.mean(x**2))) for x in needed]
         inertia = float(np.mean(np.concatenate([base[laws.INERTIA] for base, *_ in self._terms])))
         floor = joint.viscous * speed + joint.dry  # a model without bodies needs this much at least
         return JointScales(
@@ -448,6 +434,16 @@ def _smooth(acceleration: Array) -> Array:
 def _load(terms: Array, m: Motion) -> Array:
     """Return the load torque along a measured motion, [T]."""
     return np.asarray(terms[laws.LOAD] + terms[laws.BY_POSITION] * m.position + terms[laws.BY_SPEED] * m.speed)
+
+
+def _torque(terms: Array, m: Motion) -> Array:
+    """Return the torque that a measured motion needs without friction, [T]."""
+    return np.asarray(_load(terms, m) + terms[laws.INERTIA] * m.acceleration)
+
+
+def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:
+    """Return the trials without a column."""
+    return [t for t in trials if channel not in t.channels or column not in t.channels[channel].columns]
 
 
 def _acceleration(trials: Sequence[Trial], column: str, step: float) -> float:

@@ -14,6 +14,7 @@ from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
+from tests.diagnosis.rigs.recordings import SERVO
 
 KINDS = ("multisine", "holds", "multisine")
 
@@ -82,12 +83,7 @@ def test_the_command_line_writes_the_patched_model_and_its_diff(stuck, tmp_path)
 def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     (tmp_path / "s.csv").write_text("t,u,y\n" + "".join(f"{0.01 * i},{i % 100},{i % 100}\n" for i in range(400)))
     stage = tmp_path / "stage.yaml"
-    stage.write_text(
-        "kind: tracking\nchannels:\n"
-        "  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: deg}}}\n"
-        "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg}}}\n"
-        "trials: [{files: s.csv}]\n"
-    )
+    stage.write_text(SERVO)
     result = CliRunner().invoke(main, ["diagnose", str(stage), "--patch", str(tmp_path / "x.xml")])
     assert result.exit_code == 2
     assert "is for a stage of kind mujoco" in result.output
