@@ -12,7 +12,7 @@ from softarm.common.processes import as_they_come
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of, share
-from softarm.diagnosis.answer.calibration import Calibrated, calibrated
+from softarm.diagnosis.answer.calibration import calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
