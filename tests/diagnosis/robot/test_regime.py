@@ -1,4 +1,4 @@
-"""Where a gap is largest, in words."""
+"""Words for the regime and the band in which a gap is largest."""
 
 from types import SimpleNamespace
 
