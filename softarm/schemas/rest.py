@@ -112,6 +112,10 @@ class RecentAnswer(Strict):
     mocap_age_ms: tuple[float | None, ...]
     pressure_age_ms: tuple[float | None, ...]
     rail_age_ms: tuple[float | None, ...]
+    bodies: tuple[tuple[tuple[float, float] | None, ...], ...] = Field(
+        description="y, z of each rigid body in the newest frame, m, in the order of `bodies` of the robot; "
+        "null: not tracked"
+    )
     mode: tuple[str, ...]
 
 
@@ -159,7 +163,7 @@ class PolicyAnswer(Strict):
 
 
 class PoliciesAnswer(Strict):
-    """All policies by name, and the active one."""
+    """All policies, the active one first, those that cannot be used last."""
 
     active: str | None
     policies: tuple[PolicyAnswer, ...]

@@ -6,12 +6,13 @@ separate the oldest row on offer from the next one to be written.
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.daemon.control.records import Mode, Outputs
+from softarm.schemas.messages import BODY_NAMES, MocapFrame
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 KEPT_S = 600
@@ -37,7 +38,7 @@ COLUMNS: dict[str, tuple[int, Callable[[Outputs], float | None]]] = {
     "rail_age_ms": (2, lambda o: o.observed.rail_age_ns * 1e-6 if o.observed else NAN),
 }
 MODES = tuple(Mode)
-NAMES = ("tick", "time", *COLUMNS, "mode")
+NAMES = ("tick", "time", *COLUMNS, "bodies", "mode")
 
 
 class Recent:
@@ -48,15 +49,20 @@ class Recent:
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
         rows = KEPT + SPARE
         self._values = np.full((rows, len(COLUMNS)), NAN)
+        self._bodies = np.full((rows, len(BODY_NAMES), 2), NAN)
+        self._frame: MocapFrame | None = None  # the newest
         self._stamps = np.zeros((rows, 3), dtype=np.int64)  # tick, start of the tick in ns, mode
         self._count = 0  # rows written so far
         self._texts: dict[int, tuple[str, ...]] = {}  # by block
         self._reading = threading.Lock()
 
-    def take(self, outputs: Outputs) -> None:
-        """Add a tick. For one thread only."""
+    def take(self, outputs: Outputs, frames: Sequence[MocapFrame] = ()) -> None:
+        """Add a tick with the frames that it received. For one thread only."""
         row = self._count % len(self._values)
         self._values[row] = [NAN if (value := of(outputs)) is None else value for _, of in COLUMNS.values()]
+        self._frame = frames[-1] if frames else self._frame
+        if self._frame is not None:
+            self._bodies[row] = [(b.y_m, b.z_m) if b.tracked else (NAN, NAN) for b in self._frame.bodies]
         self._stamps[row] = outputs.tick, outputs.t_ns, MODES.index(outputs.mode)
         self._count += 1
 
@@ -92,15 +98,24 @@ class Recent:
         if known is not None:
             return known
         rows = np.arange(block * BLOCK, min((block + 1) * BLOCK, count)) % len(self._values)
-        text = tuple(self._columns(self._values[rows], self._stamps[rows]))
+        text = tuple(self._columns(self._values[rows], self._bodies[rows], self._stamps[rows]))
         if len(rows) == BLOCK:
             self._texts[block] = text
         return text
 
-    def _columns(self, values: NDArray[np.float64], stamps: NDArray[np.int64]) -> Iterator[str]:
+    def _columns(
+        self, values: NDArray[np.float64], bodies: NDArray[np.float64], stamps: NDArray[np.int64]
+    ) -> Iterator[str]:
         wall_ns = self._wall_ns() - self._monotonic_ns()
         yield ",".join(map(str, stamps[:, 0].tolist()))
         yield ",".join(f"{(t_ns + wall_ns) * 1e-9:.3f}" for t_ns in stamps[:, 1].tolist())
         for column, (digits, _) in zip(values.T, COLUMNS.values(), strict=True):
             yield ",".join(f"{value:.{digits}f}" if math.isfinite(value) else "null" for value in column.tolist())
+        yield ",".join(f"[{','.join(map(_spot, tick))}]" for tick in bodies.tolist())
         yield ",".join(f'"{MODES[place]}"' for place in stamps[:, 2].tolist())
+
+
+def _spot(body: tuple[float, float]) -> str:
+    """Return y and z of a body as JSON, or null if it is not tracked."""
+    y_m, z_m = body
+    return f"[{y_m:.4f},{z_m:.4f}]" if math.isfinite(y_m) and math.isfinite(z_m) else "null"

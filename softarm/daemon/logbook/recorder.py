@@ -267,7 +267,7 @@ class Recorder:
             return self.history.done(item.t_ns, item.what, item.text, item.who)
         tick = item.tick if isinstance(item, _Unrecorded) else item
         entries = self.history.take(*tick[:2])
-        self.recent.take(tick[1])
+        self.recent.take(tick[1], tick[0].mocap)
         if self._incidents is not None:
             self._incidents.happened(tick[1], entries)
         if self.listener is not None:

@@ -9,7 +9,7 @@ import pytest
 
 from softarm.daemon.control.records import EStop, Mode, Observed, Outputs
 from softarm.daemon.logbook.recent import BLOCK, KEPT, NAMES, SPARE, Recent
-from softarm.schemas.messages import Command
+from softarm.schemas.messages import BODY_NAMES, Command, MocapFrame, Pose
 from softarm.schemas.policy import Observation
 from softarm.schemas.rest import RecentAnswer
 
@@ -59,6 +59,7 @@ def test_every_column_has_the_ticks_value():
         "mocap_age_ms": [5.0],
         "pressure_age_ms": [6.0],
         "rail_age_ms": [7.0],
+        "bodies": [[None] * len(BODY_NAMES)],
         "mode": ["armed"],
     }
     assert list(said) == list(NAMES) == list(RecentAnswer.model_fields)
@@ -66,8 +67,20 @@ def test_every_column_has_the_ticks_value():
 
 def test_an_unknown_value_or_nan_is_null():
     said = json.loads(filled(1, UNOBSERVED).json(60))
-    known = {"tick", "time", "sent_velocity_m_s", "late_ms", "policy_ms", "mode"}
+    known = {"tick", "time", "sent_velocity_m_s", "late_ms", "policy_ms", "bodies", "mode"}
     assert {name for name, column in said.items() if column != [None]} == known
+
+
+def test_the_bodies_are_those_of_the_newest_frame():
+    recent = Recent(lambda: 0, lambda: 0)
+    poses = [Pose(0.1 * k, 0.9 - 0.1 * k, 0.0, tracked=k != 2) for k in range(len(BODY_NAMES))]
+    frame = MocapFrame(1, 0, 0, tuple(poses))
+    older = replace(frame, bodies=tuple(reversed(poses)))
+    recent.take(replace(FLOWN, tick=1))
+    recent.take(replace(FLOWN, tick=2), (older, frame))
+    recent.take(replace(FLOWN, tick=3))  # without a frame of its own
+    seen = [[0.0, 0.9], [0.1, 0.8], None, [0.3, 0.6], [0.4, 0.5], [0.5, 0.4]]
+    assert json.loads(recent.json(60))["bodies"] == [[None] * len(BODY_NAMES), seen, seen]
 
 
 @pytest.mark.parametrize("ticks", [1, 29, 30, 31, 2000])
