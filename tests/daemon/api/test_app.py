@@ -245,6 +245,7 @@ def test_the_policies_are_listed_with_those_that_cannot_be_used(client):
     assert by_name["reach"]["sha256"] == "ab"
     assert by_name["reach"]["trained"]["target_y_m"] == [-0.4, 0.0]
     assert by_name["lost"]["error"] == "its file is gone; train it again"
+    assert list(by_name) == ["reach", "pid", "broken", "lost"]  # the active one first, unusable ones last
 
 
 @pytest.mark.realtime

@@ -23,6 +23,8 @@ from softarm.schemas.rest import PoliciesAnswer, PolicyAnswer, PolicyBody
 LISTINGS_MAX, LISTING_S = 8, 30.0
 LOADS_MAX, LOADING_S = 2, 120.0
 OF_SPEC = ("needs_target", "episode_steps", "trained", "sha256", "shelf_depth_m")
+# Built-in policies as an operator is likely to need them; others follow by name.
+USEFUL = ("reach-robust", "reach", "reach-wide", "shelf", "trajectory", "mppi", "pid", "hold", "excite")
 EXAMPLES: dict[str, Example] = {"reach": {"value": {"name": "reach"}}}
 
 
@@ -57,13 +59,12 @@ class PolicyEndpoints:
         return router
 
     async def get_policies(self) -> Response:
-        """Return all policies. For a policy that cannot be used, `error` states why."""
+        """Return all policies: the active one, built-in ones, others, then those that cannot be used, with `error`."""
         self._view.policies = await self._listing.run("listing the policies", self._policies.available)
         snapshot = self._view.snapshot()
-        answer = PoliciesAnswer(
-            active=snapshot.policy if snapshot else None,
-            policies=tuple(map(policy_answer, self._view.policies.values())),
-        )
+        active = snapshot.policy if snapshot else None
+        listed = sorted(self._view.policies.values(), key=lambda entry: _place(entry, active))
+        answer = PoliciesAnswer(active=active, policies=tuple(map(policy_answer, listed)))
         return json_response(answer.model_dump_json())
 
     async def put_policy(
@@ -89,6 +90,11 @@ class PolicyEndpoints:
             return self._policies.load(name)
         except PolicyError as error:
             raise Refused(422, str(error)) from error
+
+
+def _place(entry: PolicyEntry, active: str | None) -> tuple[bool, bool, int, str]:
+    place = USEFUL.index(entry.name) if entry.name in USEFUL else len(USEFUL)
+    return entry.error is not None, entry.name != active, place, entry.name
 
 
 def policy_answer(entry: PolicyEntry) -> PolicyAnswer:
