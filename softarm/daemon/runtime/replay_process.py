@@ -1,6 +1,6 @@
-"""Replay of a log in a separate process of low priority that can be ended.
+"""Replay or player page of a log, made in a separate process of low priority that can be ended.
 
-The process prints a `ReplayAnswer` as JSON, or exits with 3 and prints the reason for the failure.
+The process prints a `ReplayAnswer` as JSON or the page, or exits with 3 and prints the reason for the failure.
 """
 
 import math
@@ -14,6 +14,7 @@ from softarm.daemon.logbook import logs
 from softarm.daemon.runtime.replay import describe, replay
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
+from softarm.recordings import player
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.rest import ReplayAnswer
 
@@ -39,21 +40,27 @@ class ReplayError(Exception):
 
 
 class Replay:
-    """Replay of one log in its own process."""
+    """Replay of one log in its own process, or with `page` its player page."""
 
-    def __init__(self, path: Path, limit_s: float) -> None:
+    def __init__(self, path: Path, limit_s: float, page: bool = False) -> None:
         self.path, self._limit_s = path, limit_s
+        self._options = ["page"] if page else []
         self._process: subprocess.Popen[bytes] | None = None
         self._ended = False
 
     def run(self) -> ReplayAnswer:
-        """Run the process and return its answer.
+        """Run the process and return its answer; raises as `output` does."""
+        return ReplayAnswer.model_validate_json(self.output())
+
+    def output(self) -> bytes:
+        """Run the process and return its output.
 
         Raises:
             ReplayError: The log or a policy cannot be read, or the process was ended.
             TimeoutError: The replay took too long.
         """
         command = [sys.executable, "-c", _PROGRAM, str(self.path), str(math.ceil(self._limit_s) + 1)]
+        command += self._options
         with subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         ) as process:
@@ -72,7 +79,7 @@ class Replay:
             how = process.returncode
             ended = f"by {signal.Signals(-how).name}" if how < 0 else f"with exit code {how}"
             raise ReplayError(f"{self.path.name}: its replay ended {ended}; try `softarm replay` on the machine itself")
-        return ReplayAnswer.model_validate_json(answer)
+        return answer
 
     def end(self) -> None:
         """End the process: the client has left."""
@@ -83,10 +90,13 @@ class Replay:
 
 
 def main() -> None:
-    """Replay the log named on the command line and print the answer."""
+    """Replay the log named on the command line and print the answer, or print its player page."""
     path = Path(sys.argv[1])
     try:
         log = logs.read(path)
+        if sys.argv[3:] == ["page"]:
+            sys.stdout.write(player.page(log, log.entries()))
+            return
         config = log.config
         replayed = replay(log.ticks(), config, lambda name: registry.load(name, config.policies))
     except (LogError, PolicyError) as error:

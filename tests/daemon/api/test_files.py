@@ -19,7 +19,7 @@ from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import replay_process
-from softarm.recordings import finishing
+from softarm.recordings import finishing, player
 from softarm.schemas.config import Config
 from tests.processes import WAIT_S, until
 
@@ -221,6 +221,19 @@ def test_a_replay_whose_client_left_is_ended(loop, app, serving, config, folder)
             httpx.post(url, timeout=0.2)
         assert httpx.post(url, timeout=WAIT_S).status_code in (200, 503)
         until(lambda: httpx.post(url, timeout=WAIT_S).status_code != 503)
+
+
+@pytest.mark.slow
+def test_a_log_is_viewed_as_a_sandboxed_page(client, folder):
+    shutil.copy(FLIGHT, folder / "real.mcap")
+    answer = client.get("/api/logs/real.mcap/view")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
+    assert answer.headers["content-security-policy"] == SANDBOX
+    log = logs.read(folder / "real.mcap")
+    assert answer.text == player.page(log, log.entries())
+    refused = client.get("/api/logs/flight.mcap/view")  # of random bytes
+    assert (refused.status_code, "flight.mcap" in refused.json()["detail"]) == (422, True)
+    assert client.get("/api/logs/none.mcap/view").status_code == 404
 
 
 def test_a_replay_process_has_a_low_priority():

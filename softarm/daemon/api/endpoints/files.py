@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 from urllib.parse import quote
 
 import anyio.to_thread
@@ -28,12 +28,15 @@ from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.rest import IncidentsAnswer, LogDeleted, LogsAnswer, ReplayAnswer, ReportEntry, ReportsAnswer
 
+Result = TypeVar("Result")
+
 LISTINGS_MAX, LISTING_S = 8, 30.0
 DOWNLOADS_MAX = 4
 CHUNK_BYTES = 131_072
 OPEN = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # neither follow a link nor block on a pipe
 REPLAY_S = 300.0
 POLL_S = 0.5  # between checks whether the client of a replay is still connected
+HEADERS = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
 NAME = r"[^/\x00-\x1f\x7f.][^/\x00-\x1f\x7f]*"
 NAMES = {"log": re.compile(rf"{NAME}\.mcap"), "report": re.compile(rf"{NAME}\.html")}
 # A report contains scripts. The sandbox gives it no origin, so its requests carry no cookie and get no answer.
@@ -63,6 +66,8 @@ class Files:
         router.delete("/api/logs/{name}", responses=answers(LogDeleted, 404, 409, 503, 504))(self.delete_log)
         replayed = answers(ReplayAnswer, 404, 409, 422, 503, 504)
         router.post("/api/logs/{name}/replay", responses=replayed)(self.replay_log)
+        shown = answers(page, 404, 409, 422, 503, 504)
+        router.get("/api/logs/{name}/view", responses=shown)(self.view_log)
         router.get("/api/incidents", responses=answers(IncidentsAnswer, 503, 504))(self.incidents)
         archive = answers(content("application/zip"), 404, 503, 504)
         router.get("/api/incidents/{name}", responses=archive)(self.incident)
@@ -93,16 +98,30 @@ class Files:
 
     async def replay_log(self, request: Request, name: str) -> Response:
         """Replay a log in a separate process and compare all commands bit for bit. Takes up to five minutes."""
-        path = _path(self._logs, name, "log")
-        replay = replay_process.Replay(path, REPLAY_S)
-        waiting = asyncio.create_task(self._replaying.run("replaying a log", partial(_replayed, replay)))
+        replay = replay_process.Replay(_path(self._logs, name, "log"), REPLAY_S)
+        answer = await self._processed(request, "replaying a log", replay, replay.run)
+        return json_response(answer.model_dump_json())
+
+    async def view_log(self, request: Request, name: str) -> Response:
+        """Return the player page of a log, sandboxed, made in a separate process. Shares the limits of a replay."""
+        made = replay_process.Replay(_path(self._logs, name, "log"), REPLAY_S, page=True)
+        page = await self._processed(request, "making a player page", made, made.output)
+        return Response(
+            page, media_type="text/html; charset=utf-8", headers=HEADERS | {"Content-Security-Policy": SANDBOX}
+        )
+
+    async def _processed(
+        self, request: Request, name: str, process: replay_process.Replay, run: Callable[[], Result]
+    ) -> Result:
+        """Return the result of a process, which ends when the client leaves."""
+        waiting = asyncio.create_task(self._replaying.run(name, partial(_replayed, process, run)))
         try:
             while not (await asyncio.wait({waiting}, timeout=POLL_S))[0]:
                 if await request.is_disconnected():
                     break
         finally:
-            replay.end()
-        return json_response((await waiting).model_dump_json())
+            process.end()
+        return await waiting
 
     async def incidents(self) -> Response:
         """Return the incident files of emergency stops, newest first."""
@@ -132,7 +151,7 @@ class Files:
         if self._downloads >= DOWNLOADS_MAX:
             raise Refused(503, f"{DOWNLOADS_MAX} downloads are running already: retry when one has finished")
         file, size = await self._working.run("opening a file", partial(_opened, path))
-        headers |= {"Content-Length": str(size), "X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
+        headers |= HEADERS | {"Content-Length": str(size)}
         self._downloads += 1
         return _Sent(file, size, kind, headers, self._sent)
 
@@ -203,11 +222,11 @@ def _delete(path: Path) -> None:
             raise Refused(409, f"{path}: cannot be deleted ({error.strerror}); check its folder's mode") from error
 
 
-def _replayed(replay: replay_process.Replay) -> ReplayAnswer:
-    """Return the result of a replay, or raise Refused."""
+def _replayed(replay: replay_process.Replay, run: Callable[[], Result]) -> Result:
+    """Return the result of a replay or player page, or raise Refused."""
     _opened(replay.path)[0].close()
     try:
-        return replay.run()
+        return run()
     except replay_process.ReplayError as error:
         raise Refused(422, str(error)) from error
     except TimeoutError as error:
