@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Locator, Page
 
 BYTES_MAX, COLOURS = 150_000, 256  # limits of a picture for the pages
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -39,8 +39,8 @@ def opened() -> "Iterator[Browser]":
             browser.close()
 
 
-def keep(page: "Page", path: Path) -> None:
-    """Write a screenshot as PNG and print its size. Raises ClickException above `BYTES_MAX`."""
+def keep(page: "Page | Locator", path: Path) -> None:
+    """Write a screenshot of a page or a part of it as PNG and print its size. Raises ClickException above `BYTES_MAX`."""
     from PIL import Image
 
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")

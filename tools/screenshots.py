@@ -36,7 +36,7 @@ TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.6
 BETWEEN_S = 2.2
 PATIENCE_S = 20.0
 FAULTS, RECORDED = ("regulator.dead_time_s=0.06", "arm.payload_kg=0.03"), ("seed", "free-decay", "rail-steps", "both")
-DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+DESK, WIDE, PHONE = ({"width": w, "height": h} for w, h in ((1280, 860), (1920, 1080), (390, 844)))
 # A browser makes a small machine skip ticks, which must not stop a simulated arm.
 TOLERANT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
     ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
@@ -93,21 +93,32 @@ def _open(browser: Browser, url: str, **options: Any) -> Page:
 def _flying(browser: Browser, out: Path) -> None:
     with _daemon() as (daemon, _), httpx.Client(base_url=daemon.url) as robot:
         light = _open(browser, daemon.url)
-        night = _open(browser, daemon.url, color_scheme="dark")
+        night = _open(browser, daemon.url, viewport=WIDE, color_scheme="dark")
         phone = _open(browser, daemon.url, viewport=PHONE, has_touch=True)
         night.locator("#panel-goals-tab").click()
         for page, name in ((light, "light"), (night, "night"), (phone, "phone")):
             _fly(robot)
+            page.evaluate("scrollTo(0, 0)")
             page.wait_for_timeout(350)  # during the swing
             chromium.keep(page, out / f"dashboard-{name}.png")
+        _swing(_open(browser, daemon.url, reduced_motion="reduce"), out)
         light.keyboard.press("Space")
         light.locator("#stopped[data-state=stopped]").wait_for()
         light.locator("#panel-events-tab").click()
         light.locator("#panel-events li.of-stop").first.wait_for()
+        light.evaluate("scrollTo(0, 0)")
         chromium.keep(light, out / "dashboard-stopped.png")
     light.locator("#link[data-link=lost]").wait_for()
     light.wait_for_timeout(3000)
     chromium.keep(light, out / "dashboard-lost.png")
+
+
+def _swing(page: Page, out: Path) -> None:
+    """Take a picture of the last swing shortly before its closest moment."""
+    page.locator("#swing[data-goal]").wait_for()
+    page.locator("#replay input").fill("0.3")
+    page.mouse.move(0, 0)
+    chromium.keep(page.locator("#swing"), out / "dashboard-swing.png")
 
 
 def _covered(cameras: MocapSource) -> AbstractContextManager[object]:

@@ -38,7 +38,7 @@ def test_no_other_file_defines_a_colour():
 
 
 @pytest.mark.parametrize(
-    "path", ["daemon/dashboard/view/charts.js", "reporting/player.js", "recordings/foxglove/layout.json"]
+    "path", ["daemon/dashboard/view/chart.js", "reporting/player.js", "recordings/foxglove/layout.json"]
 )
 def test_every_chart_uses_the_same_word_and_colour_for_a_signal(path):
     text = (PACKAGE / path).read_text()

@@ -7,11 +7,13 @@ import { Stop, bindStop } from "./link/stop.js";
 import { Stream } from "./link/stream.js";
 import { Aim } from "./view/aim.js";
 import { Arm } from "./view/arm.js";
-import { Charts } from "./view/charts.js";
+import { LiveCharts } from "./view/charts.js";
 import { Controls } from "./view/controls.js";
 import { $, setText, seconds, sentence } from "./view/dom.js";
 import { drawGoal, ModeView } from "./view/mode.js";
+import { Follower } from "./panels/events.js";
 import { Panels } from "./panels/panels.js";
+import { LastSwing } from "./swing/last.js";
 
 const LINKS = {
   connecting: "Connecting", live: "Live", lost: "Connection lost", refused: "Refused", stalled: "Control loop stalled", closed: "Not connected",
@@ -35,10 +37,13 @@ class Page {
     });
     bindStop($("stop"), () => this.stop.press());
     this.history = new History();
-    this.charts = new Charts($("plots"), $("charts-note"), this.history);
+    this.follower = new Follower();
+    const about = { title: $("charts-title"), windows: $("windows"), note: $("charts-note") };
+    this.charts = new LiveCharts($("plots"), about, this.history, () => this.follower.goals());
     this.mode = new ModeView();
     this.controls = new Controls();
-    this.panels = new Panels();
+    this.swing = new LastSwing(this.follower, this.history, () => this.robot);
+    this.panels = new Panels(this.follower, this.swing);
     this.stream = new Stream((status) => this.take(status), (link) => this.setLink(link));
     this.session = new Session((role) => this.setRole(role));
     $("pause").addEventListener("click", () => this.pause());

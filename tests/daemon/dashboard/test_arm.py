@@ -93,11 +93,11 @@ def test_a_doubtful_target_is_accepted_with_a_warning(page, robot, press):
 
 
 def test_the_point_under_the_pointer_is_shown_before_the_click(page):
-    page.locator("#drawing svg").hover(position={"x": 300, "y": 200})
+    page.locator("#drawing svg").hover(position={"x": 220, "y": 150})
     aim = page.locator("#drawing .preview")
     assert aim.get_attribute("visibility") == "visible"
     assert re.fullmatch(r"y −?0\.\d{3}  z 0\.\d{3} m", aim.locator("text").text_content())
-    page.locator("#drawing svg").hover(position={"x": 20, "y": 280})
+    page.locator("#drawing svg").hover(position={"x": 20, "y": 200})
     assert aim.get_attribute("data-state") == "out"
     page.mouse.move(1200, 700)
     assert aim.get_attribute("visibility") == "hidden"

@@ -1,10 +1,12 @@
-// The last minute as columns: loaded from `GET /api/recent`, extended by the stream.
+// The last minutes as columns: loaded from `GET /api/recent`, extended by the stream.
 
 import { get } from "./api.js";
 
-export const SPAN_S = 60;
+const FIRST_S = 60; // loaded with the page
+export const STORED_S = 600; // by the daemon, and at most here
+const LOADING_S = 15;
 const GAP_S = 0.25; // a longer pause between ticks breaks the lines
-const ROWS_MAX = 2600; // older rows are removed beyond this number
+const ROWS_MAX = 20_000; // older rows are removed beyond this number
 
 const cell = {
   tick: (s) => s.tick,
@@ -29,6 +31,7 @@ export const NAMES = Object.keys(cell);
 export class History {
   constructor() {
     this.columns = Object.fromEntries(NAMES.map((name) => [name, []]));
+    this.since = null; // Unix time from which the columns are complete
   }
 
   get newest() {
@@ -48,10 +51,11 @@ export class History {
     }
     const now = cell.time(status);
     this.append(now, (name) => cell[name](status));
-    if (time.length > ROWS_MAX) this.forget(now - SPAN_S);
+    if (time.length > ROWS_MAX) this.forget(now - STORED_S);
   }
 
   clear() {
+    this.since = null;
     for (const name of NAMES) this.columns[name].length = 0;
   }
 
@@ -60,10 +64,16 @@ export class History {
     for (const name of NAMES) this.columns[name].splice(0, Math.max(first, 0));
   }
 
-  // Load the daemon's columns and keep the rows that arrived since.
-  async load() {
-    const kept = await get(`api/recent?seconds=${SPAN_S}`).catch(() => null);
+  // Load more if the columns do not reach back so many seconds.
+  async cover(seconds) {
+    if (this.since !== null && this.newest - this.since < seconds - 1) await this.load(seconds);
+  }
+
+  // Load the daemon's columns, as far back as these reach already, and keep the rows that arrived since.
+  async load(seconds = Math.min(STORED_S, Math.max(FIRST_S, Math.ceil(this.newest - (this.since ?? this.newest)) || 0))) {
+    const kept = await get(`api/recent?seconds=${seconds}`, { seconds: LOADING_S }).catch(() => null);
     if (!kept?.tick?.length) return;
+    this.since = kept.time.at(-1) - seconds;
     const since = this.columns;
     this.columns = Object.fromEntries(NAMES.map((name) => [name, []]));
     kept.tick.forEach((_, k) => this.append(kept.time[k], (name) => kept[name]?.[k]));

@@ -33,6 +33,7 @@ export class Logs extends Panel {
     const button = (text, act) => el("button", { type: "button", class: "small", title: why, "aria-disabled": String(Boolean(why)), "aria-label": `${text} ${log.name}`, onclick: (event) => (why ? (made.message.textContent = why) : act(event.target)) }, text);
     const made = entry(log.name, `${clock(log.modified, true)} · ${bytes(log.bytes)} · ${length}`,
       link(path("logs", log.name), "Download", { download: log.name, "aria-label": `Download ${log.name}` }),
+      link(`${path("logs", log.name)}/view`, "View", { target: "_blank", rel: "noopener", "aria-label": `View ${log.name}` }),
       button("Replay", () => this.replay(log, made.message)),
       button("Delete", (pressed) => this.confirm(log, pressed, made.message)));
     const kept = this.messages.get(log.name);

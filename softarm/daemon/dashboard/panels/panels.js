@@ -1,14 +1,15 @@
 // The tabs. Each panel loads when it is opened; events are followed while the page is open.
 
 import { $, el } from "../view/dom.js";
-import { EventsPanel, GoalsPanel, Follower } from "./events.js";
+import { EventsPanel, GoalsPanel } from "./events.js";
 import { Incidents, Logs, Reports } from "./files.js";
 import { Policies } from "./policies.js";
 
 export class Panels {
-  constructor() {
-    this.follower = new Follower();
-    this.all = [new Policies(), new GoalsPanel(this.follower), new EventsPanel(this.follower), new Logs(), new Incidents(), new Reports()];
+  // swings: shows the swing of a goal.
+  constructor(follower, swings) {
+    this.follower = follower;
+    this.all = [new Policies(), new GoalsPanel(follower, swings), new EventsPanel(this.follower), new Logs(), new Incidents(), new Reports()];
     this.all.forEach((panel, k) => this.addTab(panel, k));
     this.choose(this.all[0]);
   }

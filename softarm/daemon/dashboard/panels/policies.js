@@ -15,7 +15,8 @@ export class Policies extends Panel {
   fill({ active, policies }) {
     const used = policies.find((policy) => policy.name === active);
     $("do-run").hidden = used?.needs_target !== false;
-    this.show(this.list(policies.map((policy) => this.entry(policy, policy.name === active)), "No policies."));
+    const [usable, broken] = [false, true].map((bad) => policies.filter(({ error }) => Boolean(error) === bad).map((policy) => this.entry(policy, policy.name === active)));
+    this.show(this.list(usable, "No policies."), broken.length ? el("h3", {}, "Cannot be used") : null, broken.length ? this.list(broken) : null);
   }
 
   entry(policy, active) {

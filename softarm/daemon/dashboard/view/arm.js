@@ -1,4 +1,4 @@
-// The drawing of the arm from motion capture, updated with every status.
+// The drawing of the arm from motion capture, updated with every status; also of the moments of a swing.
 
 /* global ARM_RADII_M, armOutline */
 import { svg, finite, number } from "./dom.js";
@@ -14,6 +14,7 @@ export class Arm {
     this.trail = [];
     this.trained = null;
     this.aim = null;
+    this.ghost = null;
     new ResizeObserver(() => this.layOut()).observe(place);
     this.layOut();
   }
@@ -31,7 +32,7 @@ export class Arm {
     this.drawn = svg("svg", { viewBox: `0 0 ${width} ${plane.height}`, width, height: plane.height, role: "img", "aria-label": "Side view of rail, cart, arm and target" },
       scene(this.robot, plane, this.trained),
       part("rect", "shelf", { visibility: "hidden", height: 6 }),
-      part("polygon", "links"), part("g", "cart", {}), this.joints, this.paths,
+      part("g", "closest"), part("polygon", "links"), part("g", "cart", {}), this.joints, this.paths,
       part("g", "goal", { visibility: "hidden" }),
       part("circle", "tip", { r: Math.max(4, thick * 0.5), visibility: "hidden" }),
       part("text", "no-arm", { x: width / 2, y: plane.v(0.8), "text-anchor": "middle" }),
@@ -40,6 +41,7 @@ export class Arm {
     this.place.replaceChildren(this.drawn);
     this.ring(this.goal, "target");
     this.ring(this.preview, "aim");
+    this.setGhost(this.ghost);
     if (this.status) this.draw(this.status);
     this.point(this.aim);
   }
@@ -101,17 +103,35 @@ export class Arm {
     const bodies = (status.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
     const cart = bodies[0]?.[0] ?? values[0] ?? status.rail_position_m;
     const tip = this.tipOf(status);
-    const seen = bodies.filter(Boolean);
     this.cart.setAttribute("visibility", finite(cart) ? "visible" : "hidden");
     if (finite(cart)) this.cart.setAttribute("transform", `translate(${this.plane.h(cart).toFixed(1)} ${this.plane.v(this.robot.hinge_z_m).toFixed(1)})`);
-    const outline = seen.length < 2 ? [] : armOutline(seen.map(([y, z]) => [this.plane.h(y), this.plane.v(z)]), this.radii);
-    this.links.setAttribute("points", outline.map((at) => at.map((px) => px.toFixed(1)).join(",")).join(" "));
+    const outline = this.outline(bodies);
+    this.links.setAttribute("points", outline);
     this.joints.forEach((joint, k) => this.dot(joint, bodies[k + 1]));
     this.dot(this.tip, tip);
-    this["no-arm"].textContent = seen.length < 2 ? "No motion capture" : "";
+    this["no-arm"].textContent = outline ? "" : "No motion capture";
     this.drawTrail();
     this.showGoal(status.goal);
     this.drawShelf(status.goal?.goal, status.policy_info?.shelf_depth_m);
+  }
+
+  // Return the outline of the arm as the points of a polygon; empty if fewer than two bodies are tracked.
+  outline(bodies) {
+    const seen = bodies.filter(Boolean);
+    const outline = seen.length < 2 ? [] : armOutline(seen.map(([y, z]) => [this.plane.h(y), this.plane.v(z)]), this.radii);
+    return outline.map((at) => at.map((px) => px.toFixed(1)).join(",")).join(" ");
+  }
+
+  // Show the arm at another moment, with the tip's distance to the target: {bodies, tip, target, text}; hide it if null.
+  setGhost(ghost) {
+    this.ghost = ghost;
+    if (!ghost) return void this.closest.replaceChildren();
+    const [x, y] = this.px(ghost.target).split(",").map(Number);
+    const below = y + Math.max(5, this.robot.success_radius_m * this.plane.scale) + 16;
+    this.closest.replaceChildren(
+      svg("polygon", { class: "ghost", points: this.outline(ghost.bodies) }),
+      svg("path", { class: "ghost", d: `M${this.px(ghost.tip)}L${this.px(ghost.target)}` }),
+      svg("text", { class: "ghost", x, y: below, "text-anchor": "middle" }, ghost.text));
   }
 
   px([y, z]) {

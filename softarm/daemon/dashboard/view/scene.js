@@ -111,14 +111,13 @@ function rail(robot, plane) {
 export function scene(robot, plane, trained) {
   const able = reachable(robot, plane);
   const parts = [
-    svg("clipPath", { id: "able" }, svg("path", { d: able })),
     svg("g", { class: "backdrop" }, grid(plane)),
     svg("path", { class: "within-reach", d: able }),
   ];
   if (trained) {
     const [left, right] = trained.target_y_m.map((y) => plane.h(y));
     const [low, high] = trained.target_z_m.map((z) => plane.v(z));
-    parts.push(svg("rect", { class: "trained", x: left, y: high, width: right - left, height: low - high, "clip-path": "url(#able)" }));
+    parts.push(svg("clipPath", { id: "able" }, svg("path", { d: able })), svg("rect", { class: "trained", x: left, y: high, width: right - left, height: low - high, "clip-path": "url(#able)" }));
   }
   return svg("g", {}, parts, svg("g", { class: "bench" }, rail(robot, plane)));
 }

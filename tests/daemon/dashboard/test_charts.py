@@ -1,0 +1,125 @@
+"""The charts: windows, zoom, one cursor, marks of goals, and a layout that shows them beside the arm."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+FLIGHT = next((Path(__file__).parents[2] / "data").glob("*.mcap"))
+
+pytestmark = pytest.mark.slow
+
+INK = """(colour) => {
+  const canvas = document.querySelector("#plots canvas");
+  const probe = Object.assign(document.createElement("i"), { style: `color: var(--${colour})` });
+  document.body.append(probe);
+  const wanted = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
+  probe.remove();
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4) if (wanted.every((v, c) => Math.abs(data[k + c] - v) < 12)) count++;
+  return count;
+}"""
+
+
+def seconds(page) -> float:
+    return float(page.locator("#plots").get_attribute("data-seconds"))
+
+
+def labels(page) -> list[str]:
+    """Return the values of the first chart, which the pointer or the newest row determines."""
+    return page.locator(".plot").first.locator("output").all_inner_texts()
+
+
+def test_a_window_is_chosen(page, robot):
+    page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 4")
+    page.get_by_role("button", name="3 s", exact=True).click()
+    assert page.locator("#charts-title").inner_text() == "Last 3 s"
+    assert seconds(page) <= 3
+    long = page.get_by_role("button", name="10 min")
+    long.click()
+    assert long.get_attribute("aria-pressed") == "true"
+    page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 3.1")
+
+
+def test_a_long_window_loads_what_the_daemon_stores(page, robot):
+    with page.expect_request("**/api/recent?seconds=600"):
+        page.get_by_role("button", name="10 min").click()
+
+
+def test_dragging_zooms_all_charts_and_a_double_click_resets(page, robot):
+    page.locator(".plot .u-over").nth(5).wait_for()
+    page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 3")
+    page.get_by_role("button", name="3 s", exact=True).click()
+    over = page.locator(".plot .u-over").nth(2)
+    box = over.bounding_box()
+    for x in (0.5, 0.75):
+        page.mouse.move(box["x"] + x * box["width"], box["y"] + 40)
+        page.mouse.down() if x == 0.5 else page.mouse.up()
+    page.locator("#charts-note", has_text="Zoomed").wait_for()
+    held = seconds(page)
+    over.hover(position={"x": 2, "y": 30})
+    assert "1.5 s before the zoom" in page.locator("#charts-note").inner_text()
+    page.wait_for_timeout(300)
+    assert seconds(page) == held
+    over.dblclick(position={"x": 5, "y": 30})
+    page.wait_for_function("(was) => Number(document.querySelector('#plots').dataset.seconds) !== was", arg=held)
+    assert "Zoomed" not in page.locator("#charts-note").inner_text()
+
+
+def test_one_cursor_is_shown_in_all_charts(page, robot):
+    page.locator(".plot .u-over").nth(5).wait_for()
+    page.locator(".plot .u-over").nth(1).hover(position={"x": 60, "y": 30})
+    places = "() => [...document.querySelectorAll('.plot .u-cursor-x')].map((line) => line.style.transform)"
+    page.wait_for_function(f"() => new Set(({places})()).size === 1 && !({places})()[0].includes('-10px')")
+    assert len(page.evaluate(places)) == 6
+
+
+def test_the_charts_mark_where_goals_began_and_ended(page, robot):
+    robot.arm()
+    page.get_by_role("button", name="10 s", exact=True).click()
+    before = page.evaluate(INK, "stop-text")
+    number = robot.status["goal"]["number"]
+    robot.ask("/api/goal", {"kind": "reach", "y_m": 0.25, "z_m": 0.75})
+    robot.until(lambda now: now["goal"]["number"] > number and now["goal"]["state"] == "failed")
+    page.wait_for_function(f"(was) => ({INK})('stop-text') > was + 20", arg=before)
+    assert page.evaluate(INK, "accent") > 10
+    assert page.locator(".marks li").all_inner_texts() == ["▸goal began", "✓reached", "✕missed", "–cancelled"]
+
+
+@pytest.mark.parametrize("size", [(1280, 860), (1920, 1080)])
+def test_the_charts_stand_beside_the_arm_without_scrolling(opened, robot, size):
+    width, height = size
+    page = opened(viewport={"width": width, "height": height})
+    page.locator("#plots canvas").nth(5).wait_for()
+    arm, charts = (page.locator(place).bounding_box() for place in ("#arm", "#charts"))
+    assert charts["x"] >= arm["x"] + arm["width"]
+    assert charts["y"] == arm["y"]
+    assert charts["y"] + charts["height"] <= height
+    columns = page.evaluate(
+        "[...document.querySelectorAll('main .card')].map((node) => node.getBoundingClientRect().right)"
+    )
+    assert max(columns) > width - 40  # no unused column
+
+
+def test_a_log_is_viewed_in_a_new_page(page, daemon):
+    place = daemon.config.recorder.directory / "viewed.mcap"
+    shutil.copy(FLIGHT, place)
+    page.locator("#panel-logs-tab").click()
+    with page.context.expect_page() as other:
+        page.get_by_role("link", name=f"View {place.name}").click()
+    other.value.locator("#scene").wait_for()
+    assert place.name in other.value.title()
+    other.value.close()
+    place.unlink()
+
+
+def test_unusable_policies_are_listed_apart_at_the_end(page):
+    panel = page.locator("#panel-policies")
+    panel.locator("li").first.wait_for()
+    assert panel.locator("li").first.locator(".tag").inner_text() == "in use"
+    lists = panel.locator("ul")
+    assert (lists.nth(0).locator(".broken").count(), panel.locator("h3").inner_text()) == (0, "Cannot be used")
+    assert lists.nth(1).locator(".broken").count() == lists.nth(1).locator("li").count() > 0
