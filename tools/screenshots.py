@@ -117,7 +117,8 @@ def _swing(page: Page, out: Path) -> None:
     """Take a picture of the last swing shortly before its closest moment."""
     page.locator("#swing[data-goal]").wait_for()
     page.locator("#replay input").fill("0.3")
-    page.mouse.move(0, 0)
+    page.locator("#replay input").blur()
+    page.evaluate("document.querySelector('header').style.position = 'static'")  # it would cover the panel
     chromium.keep(page.locator("#swing"), out / "dashboard-swing.png")
 
 

@@ -3,7 +3,7 @@
 
 import { Arm } from "../view/arm.js";
 import { Charts, ROBOT } from "../view/chart.js";
-import { el, finite, number, sentence, setText } from "../view/dom.js";
+import { el, finite, number, sentence, setText, worded } from "../view/dom.js";
 import { bodyColumns, spotAt } from "./cut.js";
 
 const SPEEDS = [["1", 1], ["1/2", 0.5], ["1/4", 0.25], ["1/10", 0.1]];
@@ -137,8 +137,9 @@ export class Replay {
 function meaning({ goal, state, text, robot, closest }) {
   const cm = number(robot.success_radius_m * 100, 1).replace(".0", "");
   const near = closest ? ` Closest: ${number(closest.m * 100, 1)} cm, ${number(closest.at, 2)} s after the request.` : "";
-  if (goal.kind !== "reach") return state === "reached" ? "The policy has flown its whole episode." : `${sentence(text)}.`;
+  const why = sentence(worded(text));
+  if (goal.kind !== "reach") return state === "reached" ? "The policy has flown its whole episode." : `${why}.`;
   if (state === "reached") return `The tip came within ${cm} cm of the target. Passing through counts: the tip need not stay.${near}`;
-  if (state === "failed") return `${sentence(text)}. The tip has to come within ${cm} cm in ${number(robot.time_limit_s, 2)} s; passing through counts.${near}`;
-  return `The goal ended before a result: ${text}.${near}`;
+  if (state === "failed") return `${why}. The tip has to come within ${cm} cm in ${number(robot.time_limit_s, 2)} s; passing through counts.${near}`;
+  return `The goal ended before a result: ${worded(text)}.${near}`;
 }
