@@ -18,7 +18,8 @@ export class LastSwing {
     this.shown = null; // the newest goal that was looked at
     this.closest = new Map(); // key of a goal -> the tip's closest distance, m; null if unknown
     follower.watchers.add(() => this.check());
-    $("swing-save").addEventListener("click", () => this.save());
+    this.button = document.querySelector("#swing .save");
+    this.button.addEventListener("click", () => this.save());
   }
 
   // Show the newest ended goal as soon as the ticks after it are there.
@@ -51,7 +52,7 @@ export class LastSwing {
     setText($("swing-title"), title);
     setText($("swing-note"), [goal.target, `requested at ${clock(goal.request.time)}`].map((part, k) => (k ? part : sentence(part))).join(", "));
     $("swing").dataset.goal = goal.key;
-    $("swing-save").hidden = false;
+    this.button.hidden = false;
     this.replay.show(swing);
   }
 
