@@ -32,7 +32,8 @@ async () => {{
   const replaced = cutSwing({{ ...goal, next: 1091 }}, recent, robot);
   const far = cutSwing({{ ...goal, goal: {{ ...goal.goal, z_m: 0.7 }} }}, recent, robot);
   const older = cutSwing({{ ...goal, request: at(999) }}, recent, robot);
-  return {{ reached, missed, replaced, older, far, between: bodyColumns(reached).map((one) => spotAt(reached.t, one, 1 / 60)) }};
+  const between = bodyColumns(reached).map((one) => spotAt(reached.t, one, 1 / 60));
+  return {{ reached, missed, replaced, older, far, between }};
 }}
 """
 
