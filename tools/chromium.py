@@ -40,7 +40,7 @@ def opened() -> "Iterator[Browser]":
 
 
 def keep(page: "Page | Locator", path: Path) -> None:
-    """Write a screenshot of a page or a part of it as PNG, and print its size. Raises ClickException above BYTES_MAX."""
+    """Write a screenshot of a page, or of a part, as PNG and print its size. Raises ClickException above BYTES_MAX."""
     from PIL import Image
 
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
