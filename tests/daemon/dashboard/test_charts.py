@@ -23,6 +23,12 @@ INK = """(colour) => {
   return count;
 }"""
 
+PLACES = """() => {
+  const box = (node) => node.getBoundingClientRect().toJSON();
+  const cards = [...document.querySelectorAll("main .card")].map(box);
+  return [box(document.querySelector("#arm")), box(document.querySelector("#charts")), cards];
+}"""
+
 
 def seconds(page) -> float:
     return float(page.locator("#plots").get_attribute("data-seconds"))
@@ -65,8 +71,7 @@ def test_dragging_zooms_all_charts_and_a_double_click_resets(page, robot):
     page.wait_for_timeout(300)
     assert seconds(page) == held
     over.dblclick(position={"x": 5, "y": 30})
-    page.wait_for_function("(was) => Number(document.querySelector('#plots').dataset.seconds) !== was", arg=held)
-    assert "Zoomed" not in page.locator("#charts-note").inner_text()
+    page.wait_for_function("() => !document.querySelector('#charts-note').textContent.includes('Zoomed')")
 
 
 def test_one_cursor_is_shown_in_all_charts(page, robot):
@@ -94,14 +99,12 @@ def test_the_charts_stand_beside_the_arm_without_scrolling(opened, robot, size):
     width, height = size
     page = opened(viewport={"width": width, "height": height})
     page.locator("#plots canvas").nth(5).wait_for()
-    arm, charts = (page.locator(place).bounding_box() for place in ("#arm", "#charts"))
-    assert charts["x"] >= arm["x"] + arm["width"]
-    assert charts["y"] == arm["y"]
-    assert charts["y"] + charts["height"] <= height
-    columns = page.evaluate(
-        "[...document.querySelectorAll('main .card')].map((node) => node.getBoundingClientRect().right)"
-    )
-    assert max(columns) > width - 40  # no unused column
+    # In one evaluation, since a swing that arrives changes the layout.
+    arm, charts, cards = page.evaluate(PLACES)
+    assert charts["left"] >= arm["right"]
+    assert charts["top"] == arm["top"]
+    assert charts["bottom"] <= height
+    assert max(card["right"] for card in cards) > width - 40  # no unused column
 
 
 def test_a_log_is_viewed_in_a_new_page(page, daemon):
