@@ -17,8 +17,11 @@ class SimulatedBody:
     loop, which is real here.
     """
 
-    def __init__(self, model: Model | None = None) -> None:
-        """Create the robot. Raises ValueError if the number of links differs from the number of tracked links."""
+    def __init__(self, model: Model | None = None, seed: int = 0) -> None:
+        """Create the robot; `seed` draws the noise and dropouts of its sensors.
+
+        Raises ValueError if the number of links differs from the number of tracked links.
+        """
         self.model = model or Model()
         self.travel_m = self.model.cart.travel_m
         links = self.model.arm.links
@@ -31,7 +34,7 @@ class SimulatedBody:
         self.now_ns = 0
         self._feed = 1.0 + float(self.simulator.effects.value("rail.gain", "scale")[0])
         distorted = any(name.startswith("mocap.") for name in self.model.effects)
-        self._sensors = Sensors(self.simulator, np.random.default_rng(0)) if distorted else None
+        self._sensors = Sensors(self.simulator, np.random.default_rng(seed)) if distorted else None
         self._frame = 0
 
     @property
