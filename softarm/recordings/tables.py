@@ -100,15 +100,25 @@ def _cells(column: Sequence[Any] | NDArray[Any]) -> list[Any]:
     return ["" if cell != cell else cell for cell in (column.tolist() if isinstance(column, np.ndarray) else column)]
 
 
-def _parquet(table: Table) -> bytes:
+def arrow(table: Table) -> Any:
+    """Return a table as a `pyarrow.Table`, with null for a missing value.
+
+    Raises:
+        ModuleNotFoundError: pyarrow is not installed.
+    """
     import pyarrow
-    from pyarrow import parquet
 
     def array(column: Sequence[Any] | NDArray[Any]) -> Any:
         if isinstance(column, np.ndarray) and column.dtype.kind == "M":
             return pyarrow.array(column, pyarrow.timestamp("ns", tz="UTC"))
         return pyarrow.array(np.asarray(column) if len(column) else np.array([], dtype=float), from_pandas=True)
 
+    return pyarrow.table({name: array(column) for name, column in table.items()})
+
+
+def _parquet(table: Table) -> bytes:
+    from pyarrow import parquet
+
     buffer = io.BytesIO()
-    parquet.write_table(pyarrow.table({name: array(column) for name, column in table.items()}), buffer)
+    parquet.write_table(arrow(table), buffer)
     return buffer.getvalue()
