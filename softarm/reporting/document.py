@@ -62,6 +62,14 @@ def document(
     return "<!doctype html>\n" + join([el("html", head, body, lang="en")]) + "\n"
 
 
+def framed(page: str, title: str, height_px: int) -> Html:
+    """Return a page of `document` as a frame inside another page, such as a notebook; its scripts see nothing else."""
+    # Otherwise a link to a section would load the outer page into the frame.
+    inner = page.replace("<head>", '<head><base href="about:srcdoc">', 1)
+    style = f"width:100%;height:{height_px}px;border:0"
+    return el("iframe", title=title, srcdoc=inner, sandbox="allow-scripts", style=style)
+
+
 def _section(of: Section) -> Html:
     if not of.folded:
         return el("section", el("h2", of.title), of.body, id=of.anchor)

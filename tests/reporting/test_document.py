@@ -2,9 +2,10 @@
 
 import json
 import re
+from html import unescape
 
 from softarm.reporting.colours import LIGHT, NIGHT
-from softarm.reporting.document import Section, document
+from softarm.reporting.document import Section, document, framed
 from softarm.reporting.markup import el
 
 LEAD = el("h1", "Title")
@@ -26,6 +27,15 @@ def test_a_page_fetches_nothing_and_without_a_plot_runs_nothing():
     plotted = document("t", "m", LEAD, SECTIONS, plot={"items": []})
     for text in (page, plotted):
         assert not re.search(r"https?:|@import|url\(|<link", text.replace("/*! https://github.com/leeoniya/uPlot", ""))
+
+
+def test_a_framed_page_is_escaped_once_and_its_scripts_see_nothing_else():
+    page = document("t", "m", el("h1", 'A "quoted" title'), SECTIONS)
+    frame = framed(page, "a page", 300)
+    assert 'sandbox="allow-scripts"' in frame
+    assert "height:300px" in frame
+    (inner,) = re.findall(r'srcdoc="([^"]*)"', frame)
+    assert unescape(inner) == page.replace("<head>", '<head><base href="about:srcdoc">')
 
 
 def test_the_plots_data_cannot_end_its_script_and_comes_back():
