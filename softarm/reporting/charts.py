@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 _SPECTRUM_BINS = 160
 _WIDTH, _HEIGHT = 460.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 10.0, 10.0, 40.0
+_RADIUS = 9.0  # of a place on a map
 
 
 class Span(Protocol):
@@ -169,9 +170,19 @@ def ladder(before: float, after: float | None, floor: float | None, ceiling: flo
     return svg(width, 24, text, *parts, kind="ladder")
 
 
-def disc_map(y_m: Sequence[float], z_m: Sequence[float], shares: Sequence[float], title: str) -> Html:
-    """Return a map of places; the opacity of each disc is its share (0 .. 1), the caption has their mean."""
-    scale, left, top, radius = 560.0, 46.0, 14.0, 9
+def disc_map(
+    y_m: Sequence[float], z_m: Sequence[float], shares: Sequence[float], title: str, notes: Sequence[str] = ()
+) -> Html:
+    """Return a map of places with a mark of each share, as in `map_legend`; the caption has their mean.
+
+    Args:
+        y_m: y of the places, m, [N].
+        z_m: z of the places, m, [N].
+        shares: Share of each place, 0 .. 1, [N].
+        title: Name of the map.
+        notes: Text of each place when the pointer is on it, [N]; by default its share.
+    """
+    scale, left, top = 560.0, 46.0, 14.0
     width, height = left + scale * (max(y_m) - min(y_m)) + 20, top + scale * (max(z_m) - min(z_m)) + 34
 
     def x_at(y: float) -> float:
@@ -181,12 +192,32 @@ def disc_map(y_m: Sequence[float], z_m: Sequence[float], shares: Sequence[float]
         return top + scale * (max(z_m) - z)
 
     parts: list[Html] = []
-    for y, z, share in zip(y_m, z_m, shares, strict=True):
-        label = el("title", f"y {y:.2f}, z {z:.2f} m: {percent(share)}")
-        at = {"cx": f"{x_at(y):.1f}", "cy": f"{y_at(z):.1f}", "r": radius}
-        ink = el("circle", **at, class_="dot clear", fill_opacity=f"{share:.2f}", stroke_opacity=f"{share:.2f}")
-        parts.append(el("g", label, el("circle", **at, class_="dot"), ink))
+    for y, z, share, note in zip(y_m, z_m, shares, notes or [percent(share) for share in shares], strict=True):
+        label = el("title", f"y {y:.2f}, z {z:.2f} m: {note}")
+        parts.append(el("g", label, *_mark(x_at(y), y_at(z), share)))
     parts += [write(left - 16, y_at(z) + 4, f"{z:.2f}", "end") for z in sorted(set(z_m))]
     parts += [write(x_at(y), height - 8, f"{y:.2f}", "middle") for y in sorted(set(y_m))[::2]]
     caption = el("figcaption", el("b", title), f" {percent(sum(shares) / len(shares))} (z over y, m)")
     return el("figure", caption, svg(width, height, f"{title}: targets reached", *parts))
+
+
+def map_legend(all_of_them: str, some: str, none: str) -> Html:
+    """Return the legend of the marks of `disc_map`: full share, part of it, zero."""
+    marks = ((1.0, all_of_them), (0.4, some), (0.0, none))
+    drawn = (
+        (el("svg", *_mark(11, 11, share), viewBox="0 0 22 22", width=22, height=22), text) for share, text in marks
+    )
+    return el("p", *(el("span", mark, text, class_="entry") for mark, text in drawn), class_="legend")
+
+
+def _mark(x: float, y: float, share: float) -> list[Html]:
+    """Return a full disc, a disc whose area is the share, in a ring, or a cross for zero."""
+    if share <= 0:
+        # Without a fill, only the strokes would react to the pointer.
+        ground = el("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=_RADIUS, class_="ground")
+        arms = path((x - 6, x + 6, math.nan, x - 6, x + 6), (y - 6, y + 6, math.nan, y + 6, y - 6))
+        return [ground, el("path", d=arms, class_="missed")]
+    at = {"cx": f"{x:.1f}", "cy": f"{y:.1f}"}
+    radius = _RADIUS if share >= 1 else (_RADIUS - 2.5) * math.sqrt(share)
+    ink = el("circle", **at, r=f"{radius:.1f}", class_="ink")
+    return [el("circle", **at, r=_RADIUS, class_="ring"), ink]

@@ -7,12 +7,6 @@ import numpy as np
 from softarm.reporting import charts
 
 
-def circles(svg, kind):
-    """(x, y, opacity) of each disc of a class."""
-    found = re.findall(rf'<circle cx="([\d.]+)" cy="([\d.]+)" r="9" class="{kind}"(?: fill-opacity="([\d.]+)")?', svg)
-    return [(float(x), float(y), float(ink or 0)) for x, y, ink in found]
-
-
 def test_a_spectrum_keeps_its_level_when_thinned():
     frequency_hz = np.linspace(0.1, 50, 5000)
     f, density = charts.thinned(frequency_hz, np.full(5000, 0.3))
@@ -36,14 +30,23 @@ def test_a_flat_spectrum_of_one_frequency_is_drawn_without_nan():
     assert "inf" not in drawn
 
 
-def test_a_map_puts_places_where_they_are_and_inks_them_by_share():
-    drawn = charts.disc_map([-0.4, 0.0, -0.4], [0.55, 0.55, 0.80], [0.0, 0.5, 1.0], "reach")
-    left, right, above = circles(drawn, "dot clear")
-    assert left[0] == above[0] < right[0]
-    assert above[1] < left[1] == right[1]
-    assert [disc[2] for disc in (left, right, above)] == [0.0, 0.5, 1.0]
-    assert "<b>reach</b> 50 %" in drawn
+def test_a_map_puts_places_where_they_are_and_marks_their_share():
+    drawn = charts.disc_map([-0.4, 0.0, -0.4, 0.0], [0.55, 0.55, 0.80, 0.80], [1.0, 0.5, 0.25, 0.0], "reach")
+    full, half, quarter = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="([\d.]+)" class="ink"/>', drawn)
+    assert float(full[0]) == float(quarter[0]) < float(half[0])
+    assert float(quarter[1]) < float(full[1]) == float(half[1])
+    assert float(full[2]) > float(half[2]) > float(quarter[2]) > 0
+    assert drawn.count('class="ring"') == 3
+    assert drawn.count('class="missed"') == 1
+    assert "<b>reach</b> 44 %" in drawn
     assert "y 0.00, z 0.55 m: 50 %" in drawn
+
+
+def test_a_map_has_a_note_for_each_place_and_a_legend_of_its_marks():
+    drawn = charts.disc_map([0.0, 0.1], [0.5, 0.6], [1.0, 0.0], "reach", ["12 mm", "<90 mm>"])
+    assert "y 0.00, z 0.50 m: 12 mm" in drawn
+    assert "&lt;90 mm&gt;" in drawn
+    assert re.findall(r"</svg>(\w+)", charts.map_legend("all", "some", "none")) == ["all", "some", "none"]
 
 
 def test_a_ladder_is_on_one_scale():
