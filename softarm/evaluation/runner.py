@@ -3,12 +3,12 @@
 The validation of training instead flies many robots at once: `training/learn/validation.py`.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from softarm.daemon.control.records import Mode
+from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies import registry
@@ -21,6 +21,7 @@ from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
 
 Robot = Model | RobotParameters  # the simulator with a model, or the independent robot
+Record = Callable[[Inputs, Outputs, TickTiming], None]
 PolicyName = Path | str  # an ONNX file, or a name that the registry knows
 NOWHERE = Goal("reach", 0.0, 0.9)  # out of reach
 
@@ -74,9 +75,14 @@ class Runner:
     Raises RuntimeError if the control loop refuses to arm. The independent robot needs the extra `mujoco`.
     """
 
-    def __init__(self, policy: Policy, robot: Robot | None = None, config: Config | None = None) -> None:
-        """Prepare the robot (default: the seed's simulator) and the configuration (default: its default values)."""
-        self._policy, self._robot, self._config = policy, robot or Model(), config or Config()
+    def __init__(
+        self, policy: Policy, robot: Robot | None = None, config: Config | None = None, record: Record | None = None
+    ) -> None:
+        """Prepare the robot (default: the seed's simulator) and the configuration (default: its default values).
+
+        `record` receives every tick, also those before a flight.
+        """
+        self._policy, self._robot, self._config, self._record = policy, robot or Model(), config or Config(), record
         self._recorded = Recorded(policy)
         self._shelved = False
         # Compile and arm now, so that timed flights do not include it.
@@ -122,7 +128,7 @@ class Runner:
 
     def _simulated(self, model: Model, policy: Policy) -> tuple[SimulatedBody, Lockstep]:
         body = SimulatedBody(model)
-        daemon = Lockstep(self._config, policy, body=body)
+        daemon = Lockstep(self._config, policy, record=self._record, body=body)
         daemon.arm()
         return body, daemon
 
@@ -132,7 +138,7 @@ class Runner:
 
         start_m, shelf_m = scenario.cart_start_m, scenario.shelf_m
         body = IndependentBody(parameters, scenario.seed, cart_position_m=start_m, shelf_m=shelf_m)
-        daemon = Lockstep(self._config, policy, body=body)
+        daemon = Lockstep(self._config, policy, record=self._record, body=body)
         daemon.arm()
         return daemon
 
