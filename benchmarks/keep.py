@@ -1,6 +1,6 @@
 """Run a command and store its figures in benchmarks/results/.
 
-    python -m benchmarks.keep grid-reach -- softarm evaluate --policy reach
+    python -m benchmarks.keep grid-reach -- softarm evaluate reach
 
 Stored is the file that the command writes with `--json FILE`.
 """
@@ -29,7 +29,7 @@ def main(without: tuple[str, ...], name: str, command: tuple[str, ...]) -> None:
 
     \b
     Example:
-      python -m benchmarks.keep --without targets grid-reach -- softarm evaluate --policy reach
+      python -m benchmarks.keep --without targets grid-reach -- softarm evaluate reach
     """
     with TemporaryDirectory() as folder:
         written = Path(folder) / "figures.json"

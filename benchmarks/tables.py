@@ -5,7 +5,8 @@ from typing import Any
 
 from benchmarks import diagnosis_tables
 from benchmarks.markdown import Read, markdown
-from softarm.evaluation.table import CEILING, HARDWARE
+from softarm.evaluation.entries import CEILING
+from softarm.evaluation.table import HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
 BRIDGED = ("bridging", "bridging-payload")

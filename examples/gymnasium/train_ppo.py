@@ -1,9 +1,7 @@
 """PPO in one file on the vector environment, as a starting point for changes.
 
     python train_ppo.py --steps 400000 --out mine.onnx
-    softarm evaluate --policy mine --config mine.yaml
-
-where mine.yaml says `policies: {mine: {plugin: onnx, options: {model: mine.onnx}}}`.
+    softarm evaluate mine.onnx reach
 
 Algorithm: Schulman et al., Proximal Policy Optimization (2017), with generalised advantages; observations are
 normalised by their running mean and deviation.

@@ -1,10 +1,8 @@
 """PPO of Stable-Baselines3 on the vector environment, at its full speed.
 
-    pip install stable-baselines3
-    python train_sb3.py --steps 400000 --out mine.onnx
-    softarm evaluate --policy mine --config mine.yaml
-
-where mine.yaml says `policies: {mine: {plugin: onnx, options: {model: mine.onnx}}}`.
+pip install stable-baselines3
+python train_sb3.py --steps 400000 --out mine.onnx
+softarm evaluate mine.onnx reach
 """
 
 from pathlib import Path

@@ -37,17 +37,26 @@ class Evaluation(TypedDict):
 
 
 def evaluate(
-    name: str, config: Config, model: Model | None = None, on_flight: Callable[[], None] = lambda: None
+    name: str,
+    config: Config,
+    model: Model | None = None,
+    on_flight: Callable[[], None] = lambda: None,
+    file: Path | None = None,
 ) -> Evaluation:
     """Fly every target from rest at every cart start.
 
-    `name` is a policy's name or the path of an .onnx file; the robot is simulated with the seed's model by default.
+    Args:
+        name: Name of the policy.
+        config: Configuration of the control loop.
+        model: Model of the simulated robot; None for the seed's.
+        on_flight: Called after each flight.
+        file: ONNX file of the policy; None for the policy that the registry has under this name.
 
     Raises:
         PolicyError: The policy cannot be loaded.
         RuntimeError: The control loop refuses to arm.
     """
-    policy = load(Path(name) if name.endswith(".onnx") else name, config)
+    policy = load(file or name, config)
     runner, scenarios = Runner(policy, model, config), flights.grid()
     flown: list[Flight] = []
     started = time.perf_counter()

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterator
 
-from softarm.evaluation.table import CEILING, Comparison, Figure
+from softarm.evaluation.entries import CEILING
+from softarm.evaluation.table import Comparison, Figure
 from softarm.reporting import charts
 from softarm.reporting.document import Section, document
 from softarm.reporting.markup import Child, Html, el, join, shaded, table
 from softarm.schemas.flights import TEST_TARGETS
+
+_LISTED = 3  # flights whose distances are listed one by one
 
 # Remarks below every table.
 READING = (
@@ -14,7 +17,7 @@ READING = (
     "Ceiling: a cross-entropy search over open-loop commands for each trial, on the simulator itself and with the same "
     "braking clamp. It is a lower bound of what can be reached from rest.",
     "mppi plans for a fixed time per tick: on a busy computer it reaches less.",
-    "Seeds: training seeds. A shipped policy is one file of one seed; --runs flies a sweep and shows the spread.",
+    "Seeds: training seeds. A shipped policy is one file of one seed; the folder of a sweep shows the spread.",
     "The paper's figures were measured on its hardware. All other flights are simulated and flown by the real control "
     "loop. The independent robot shares no code with the simulator; where its change has no figure, the change is the "
     "effect registry's example.",
@@ -52,14 +55,50 @@ def html(comparison: Comparison, command: str) -> str:
     whole = table(head, _rows(comparison, names, _cell), caption, numbers=range(1, len(head)))
     notes = el("ol", *(el("li", note) for note in footnotes(comparison)))
     reading = [el("p", line, class_="hint") for line in READING]
-    y, z = [goal.y_m for goal in TEST_TARGETS], [goal.z_m for goal in TEST_TARGETS]
-    maps = (charts.disc_map(y, z, shares, _title(policy)) for policy, shares in comparison["reached"].items())
-    legend = el("p", "Darker = more starts and seeds reach the target.")
-    sections = (
-        Section("Success by test", "table", join([whole, notes, *reading])),
-        Section("The 54 targets", "targets", join([legend, el("div", *maps, class_="multiples maps")])),
-    )
+    sections = [Section("Success by test", "table", join([whole, notes, *reading]))]
+    if comparison["reached"]:
+        sections += [_maps(comparison), _distances(comparison)]
     return document("Policies compared", "softarm evaluate", join([*lead, made]), sections)
+
+
+def _maps(comparison: Comparison) -> Section:
+    """Return a map of the 54 targets for each policy, all on one scale."""
+    y, z = [goal.y_m for goal in TEST_TARGETS], [goal.z_m for goal in TEST_TARGETS]
+    maps = []
+    for policy, shares in comparison["reached"].items():
+        notes = [_note(*each) for each in zip(shares, comparison["closest_m"][policy], strict=True)]
+        maps.append(charts.disc_map(y, z, shares, _title(policy), notes))
+    legend = charts.map_legend("reached in every flight", "reached in this share of the flights", "missed")
+    text = el("p", f"Test: {comparison['mapped']}. The pointer on a target shows the closest distance of its flights.")
+    return Section("The 54 targets", "targets", join([text, legend, el("div", *maps, class_="multiples maps")]))
+
+
+def _distances(comparison: Comparison) -> Section:
+    """Return the table of the closest distances, which needs no pointer."""
+    names = list(comparison["reached"])
+    rows = []
+    for number, goal in enumerate(TEST_TARGETS):
+        cells = [
+            shaded(comparison["reached"][name][number], _farthest(comparison["closest_m"][name][number]))
+            for name in names
+        ]
+        rows.append((f"{goal.y_m:.2f}, {goal.z_m:.2f}", *cells))
+    caption = "Closest distance of the tip in the worst flight to each target, mm; darker = more flights reach it"
+    head = ("target y, z (m)", *map(_title, names))
+    return Section("Closest distances", "distances", table(head, rows, caption, range(1, len(head))), folded=True)
+
+
+def _note(share: float, closest_m: list[float | None]) -> str:
+    """Return the flights that reach a target, and the closest distance of each or their range."""
+    mm = [f"{1e3 * each:.0f}" for each in sorted(each for each in closest_m if each is not None)]
+    some = ", ".join(mm) if len(mm) <= _LISTED else f"{mm[0]} to {mm[-1]}"
+    reached = f"reached in {round(share * len(closest_m))} of {len(closest_m)} flights"
+    return f"{reached}; closest distance {some} mm" if mm else reached
+
+
+def _farthest(closest_m: list[float | None]) -> str:
+    known = [each for each in closest_m if each is not None]
+    return f"{1e3 * max(known):.0f}" if len(known) == len(closest_m) else "not known"
 
 
 def _rows(

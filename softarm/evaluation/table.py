@@ -3,21 +3,18 @@
 The ceiling, an open-loop search that knows the simulator, is one of the rows.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from statistics import mean, stdev
 from typing import NamedTuple, TypedDict
 
 import numpy as np
 
 from softarm.common.processes import as_they_come
-from softarm.common.words import did_you_mean
+from softarm.evaluation.entries import CEILING, Entry
 from softarm.evaluation.runner import Robot, fly, load
-from softarm.evaluation.tests import COLUMNS, TESTS, label, robot, scenarios
-from softarm.policies import registry
-from softarm.policies.base import PolicyError
-from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.evaluation.tests import COLUMNS, TESTS, flies_the_targets, robot, scenarios, title
 from softarm.schemas.config import Config
 from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Scenario, heights, in_range
 from softarm.schemas.goals import Goal
@@ -30,19 +27,9 @@ HARDWARE: dict[str, dict[str, float]] = {
     "the paper's trajectory optimisation": {"in_range": 0.94, "above": 0.83, "all": 0.91},
     "the paper's PID": {"all": 0.17},
 }
-CEILING = "ceiling"
 PART = 27  # flights of one job
 OUTSIDE = "none of these targets lies in the range that the policy was made for"
 DEFAULT_LIMITS = "searched with the default limits, not with those of --config"
-
-
-class Entry(NamedTuple):
-    """A policy file, a plug-in or the ceiling; one entry per training seed."""
-
-    name: str
-    seed: int | None = None  # None: not trained
-    file: Path | None = None  # of an ONNX policy; None: the registry knows the name
-    trained: TrainingRange | None = None
 
 
 class Job(NamedTuple):
@@ -58,6 +45,7 @@ class Score(NamedTuple):
 
     reached: bool
     refusal: str | None = None  # the policy's message if it had no answer; such a trial is not reached
+    closest_m: float | None = None  # the tip's closest distance to the target; None if the tip was not seen
 
 
 class Cell(NamedTuple):
@@ -84,59 +72,9 @@ class Comparison(TypedDict):
     policies: dict[str, dict[str, Figure]]
     notes: dict[str, dict[str, list[str]]]  # policy -> column -> remarks on the figure
     hardware: dict[str, dict[str, float]]
+    mapped: str  # title of the test of the next two: the first one that flies the 54 targets; empty if none does
     reached: dict[str, list[float]]  # policy -> share of starts and seeds for each of the 54 targets
-
-
-def entries(
-    runs: Path | None = None,
-    names: Sequence[str] = (),
-    only_runs: bool = False,
-    files: Sequence[Path] = (),
-    config: Config | None = None,
-) -> list[Entry]:
-    """Return the rows of a comparison: usable policies that take targets, and the ceiling.
-
-    Args:
-        runs: Folder of a sweep. Its policies (NAME/seed-K) replace shipped ones of the same name, one entry per seed.
-        names: Names of the wanted rows; without a name, every row is wanted.
-        only_runs: Leave out everything but the sweep's policies.
-        files: Further ONNX policies; the path is the row's name.
-
-    Raises:
-        PolicyError: A name is unknown, a file is invalid, or `runs` holds no policy.
-    """
-    trained = _of_sweep(runs) if runs else {}
-    for file in files:
-        metadata = OnnxPolicy(str(file)).metadata
-        trained[str(file)] = [Entry(str(file), metadata.seed, file, OnnxPolicy.describe(str(file)).trained)]
-    known = registry.available((config or Config()).policies)
-    rows = trained if only_runs else _registered(known) | {CEILING: [Entry(CEILING)]} | trained
-    if unknown := sorted(set(names) - rows.keys()):
-        if unknown[0] in known and (error := known[unknown[0]].error):
-            raise PolicyError(f"policy {unknown[0]}: {error}")
-        hint = did_you_mean(unknown[0], rows)
-        raise PolicyError(f"no policy {', '.join(unknown)}; {hint}there is {', '.join(rows)}")
-    return [entry for name, group in rows.items() if not names or name in names for entry in group]
-
-
-def _of_sweep(runs: Path) -> dict[str, list[Entry]]:
-    trained: dict[str, list[Entry]] = {}
-    for file in sorted(runs.glob("*/seed-*/*.onnx")):
-        name, number = file.parts[-3], int(file.parts[-2].removeprefix("seed-"))
-        trained.setdefault(name, []).append(Entry(name, number, file, OnnxPolicy.describe(str(file)).trained))
-    if not trained:
-        raise PolicyError(f"{runs}: no NAME/seed-K/*.onnx in it; `softarm train --sweep` writes them")
-    return trained
-
-
-def _registered(policies: Mapping[str, registry.PolicyEntry]) -> dict[str, list[Entry]]:
-    rows = {}
-    for name, known in policies.items():
-        if known.spec is None or not known.spec.needs_target or name == "hold":
-            continue
-        seed = OnnxPolicy(str(known.options["model"])).metadata.seed if known.plugin == "onnx" else None
-        rows[name] = [Entry(name, seed, trained=known.spec.trained)]
-    return rows
+    closest_m: dict[str, list[list[float | None]]]  # policy -> target -> closest distance of each start and seed
 
 
 def jobs(found: Sequence[Entry], tests: Sequence[str]) -> list[Job]:
@@ -159,7 +97,8 @@ def measure(job: Job, config: Config | None = None) -> list[Score]:
     if entry.name == CEILING:
         return _search(chosen, on)
     policy = load(entry.file or entry.name, config)
-    return [Score(flight.reached, flight.refusal) for flight in fly(policy, on, chosen, config)]
+    flights = fly(policy, on, chosen, config)
+    return [Score(flight.reached, flight.refusal, flight.status.closest_m) for flight in flights]
 
 
 def compare(
@@ -191,26 +130,30 @@ def summary(flown: dict[Job, list[Score]]) -> Comparison:
     for job, part in flown.items():
         whole.setdefault((job.entry, job.test), {}).update(zip(job.part, part, strict=True))
     cells: dict[str, dict[str, list[Cell]]] = {}  # policy -> column -> seed
-    per_target: dict[str, list[list[float]]] = {}
+    mapped = next((test for _, test in whole if flies_the_targets(test)), None)
+    per_target: dict[str, list[list[Score]]] = {}  # policy -> target -> start and seed
     seeds: dict[str, list[int]] = {}
     for (entry, test), numbered in whole.items():
         scores = [numbered[number] for number in range(len(numbered))]
         row = cells.setdefault(entry.name, {})
         for column, cell in _split(entry, test, scores).items():
             row.setdefault(column, []).append(cell)
-        if test == "grid":
-            hits = np.array([score.reached for score in scores], dtype=float).reshape(len(TEST_TARGETS), -1)
-            per_target.setdefault(entry.name, []).append(hits.mean(axis=1).tolist())
+        if test == mapped:
+            starts, targets = len(CART_STARTS_M), per_target.setdefault(entry.name, [[] for _ in TEST_TARGETS])
+            for number, target in enumerate(targets):
+                target += scores[number * starts : (number + 1) * starts]
         known = seeds.setdefault(entry.name, [])
         known += [entry.seed] if entry.seed is not None and entry.seed not in known else []
-    others = {test: label(test) for _, test in whole if test not in COLUMNS and test != "grid"}
+    others = {test: title(test) for _, test in whole if test not in COLUMNS and test != "grid"}
     return Comparison(
         columns=COLUMNS | others,
         seeds=seeds,
         policies={name: {column: _figure(group) for column, group in row.items()} for name, row in cells.items()},
         notes={name: {c: notes for c, group in row.items() if (notes := _notes(group))} for name, row in cells.items()},
         hardware=HARDWARE,
-        reached={name: np.mean(rows, axis=0).tolist() for name, rows in per_target.items()},
+        mapped=title(mapped) if mapped else "",
+        reached={name: [mean(each.reached for each in of) for of in rows] for name, rows in per_target.items()},
+        closest_m={name: [[each.closest_m for each in of] for of in rows] for name, rows in per_target.items()},
     )
 
 
@@ -221,7 +164,8 @@ def _search(wanted: Sequence[Scenario], on: Robot) -> list[Score]:
     assert isinstance(on, Model), "the grid is flown on the simulator"
     targets_m = np.array([(each.goal.y_m, each.goal.z_m) for each in wanted], dtype=np.float32)
     found = search(targets_m, wanted[0].cart_start_m, on)
-    return [Score(bool(np.isfinite(reached_s))) for reached_s in found.reached_s]
+    results = zip(found.reached_s.tolist(), found.closest_m.tolist(), strict=True)
+    return [Score(math.isfinite(reached_s), closest_m=closest_m) for reached_s, closest_m in results]
 
 
 def _split(entry: Entry, test: str, scores: list[Score]) -> dict[str, Cell]:

@@ -60,8 +60,7 @@ def default(every_test: bool, matrix: bool) -> tuple[str, ...]:
 
 def on_model(test: str, model: Path) -> str:
     """Return the test on another model of the simulator; tests on the independent robot have none and stay."""
-    known = TESTS.get(test)
-    return test if known is not None and known.robot is not None else f"{test}@{model}"
+    return test if test in TESTS and is_independent(test) else f"{test}@{model}"
 
 
 def scenarios(test: str) -> list[Scenario]:
@@ -88,15 +87,24 @@ def check(test: str) -> None:
         raise ValueError(
             f"no test '{name}'; {hint}there is {', '.join(TESTS)}; those on the simulator also as TEST@MODEL"
         )
-    is_independent = TESTS[name].robot is not None
-    if model and is_independent:
+    if model and is_independent(test):
         raise ValueError(f"{test}: the independent robot takes no model; omit @{model}")
-    if is_independent and importlib.util.find_spec("mujoco") is None:
+    if is_independent(test) and importlib.util.find_spec("mujoco") is None:
         raise ValueError(f"{test} needs the package 'mujoco': pip install 'softarm[mujoco]', or choose tests by --test")
     robot(test)
 
 
-def label(test: str) -> str:
-    """Return the column title of a test on another model."""
+def is_independent(test: str) -> bool:
+    """Return whether a test flies the independent robot, which takes no model."""
+    return TESTS[test.partition("@")[0]].robot is not None
+
+
+def flies_the_targets(test: str) -> bool:
+    """Return whether a test flies each of the 54 targets from three starts, target by target."""
+    return [each.goal for each in scenarios(test)] == [each.goal for each in flights.grid()]
+
+
+def title(test: str) -> str:
+    """Return the column title of a test."""
     name, _, model = test.partition("@")
-    return f"{TESTS[name].title}, on {model}"
+    return f"{TESTS[name].title}, on {model}" if model else TESTS[name].title

@@ -107,7 +107,7 @@ def completed(words, number):
         ("softarm incid", 1, ["plain,incidents"]),
         ("softarm goal r", 2, ["plain,reach", "plain,run"]),
         ("softarm policy use reach-", 3, ["plain,reach-robust", "plain,reach-wide"]),
-        ("softarm evaluate --config arm.yaml --policy mi", 5, ["plain,mine"]),
+        ("softarm evaluate reach --config arm.yaml mi", 5, ["plain,mine", "file,mi"]),
         ("softarm model show no-d", 3, ["plain,no-delay", "file,no-d"]),
         ("softarm run --model no-d", 3, ["plain,no-delay", "file,no-d"]),
         ("softarm replay logs/s", 2, ["plain,logs/soft-2.mcap", "plain,logs/soft-1.mcap", "file,logs/s"]),

@@ -1,10 +1,13 @@
 """Table of all policies in all tests, with the footnotes of its figures."""
 
+import re
+
 import numpy as np
 import pytest
 
-from softarm.evaluation import page, table, tests
-from softarm.evaluation.table import Entry, Job, Score
+from softarm.evaluation import entries, page, table, tests
+from softarm.evaluation.entries import Entry
+from softarm.evaluation.table import Job, Score
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.training.trajectory import ceiling
 
@@ -12,14 +15,14 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_test_on_another_model_has_a_separate_column():
-    found = table.entries(None, ("pid",))
+    found = entries.given(("pid",))
     result = table.compare(found, 1, ("shelf@no-delay",))
     assert list(result["policies"]["pid"]) == ["shelf@no-delay"]
     assert "on no-delay" in page.markdown(result)
 
 
 def test_every_shipped_policy_is_flown_and_the_ceiling_covers_the_grid_alone():
-    found = table.entries(None)
+    found = entries.every()
     assert {"mppi", "pid", "reach", "reach-wide", "shelf", "trajectory", "ceiling"} <= {entry.name for entry in found}
     trained = OnnxPolicy("reach").metadata.seed
     assert [entry.seed for entry in found if entry.name in ("pid", "reach")] == [None, trained]
@@ -37,12 +40,13 @@ def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
 
     def search(targets_m, start_m, model):
         asked.append(start_m)
-        return ceiling.Ceiling(np.zeros(54), np.where(targets_m[:, 1] < 0.6, start_m, np.nan))
+        return ceiling.Ceiling(np.full(54, start_m), np.where(targets_m[:, 1] < 0.6, start_m, np.nan))
 
     monkeypatch.setattr(ceiling, "search", search)
     result = table.compare([Entry("ceiling")], 1, ("grid",))
     assert asked == [0.0, 0.1, 0.2]
     assert result["reached"]["ceiling"] == [1.0] * 9 + [0.0] * 45
+    assert result["closest_m"]["ceiling"] == [[0.0, 0.1, 0.2]] * 54
     assert result["policies"]["ceiling"]["in_range"]["mean"] == pytest.approx(9 / 36)
 
 
@@ -67,19 +71,47 @@ def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero(monkeypatc
 
 
 def test_a_figure_outside_the_training_range_has_a_note():
-    entries = {entry.name: entry for entry in table.entries(None, ("reach", "reach-wide", "pid"))}
+    found = entries.given(("reach", "reach-wide", "pid"))
     missed = [Score(False)] * 162
-    result = table.summary({Job(entry, "grid", range(162)): missed for entry in entries.values()})
+    result = table.summary({Job(entry, "grid", range(162)): missed for entry in found})
     assert result["notes"] == {"pid": {}, "reach": {"above": [table.OUTSIDE]}, "reach-wide": {}}
     assert page.footnotes(result) == [table.OUTSIDE]
 
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.prove)])
 def test_the_size_of_jobs_and_the_number_of_processes_do_not_change_the_table(monkeypatch, processes):
-    found = table.entries(None, ("pid", "shelf"))
+    found = entries.given(("pid", "shelf"))
     done = []
     alone = table.compare(found, 1, ("shelf",))
     monkeypatch.setattr(table, "PART", 5)
     assert table.compare(found, processes, ("shelf",), done.append) == alone
     assert sorted(done) == [2, 2, 5, 5, 5, 5]
     assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]
+
+
+def test_maps_show_the_first_test_that_flies_the_54_targets():
+    def flown(test, reached, trials):
+        return {Job(Entry("pid"), test, range(trials)): [Score(reached, closest_m=0.05)] * trials}
+
+    result = table.summary(flown("shelf", True, 12) | flown("swinging", False, 162) | flown("grid", True, 162))
+    assert result["mapped"] == "54 from mid-swing"
+    assert result["reached"] == {"pid": [0.0] * 54}
+    assert result["closest_m"] == {"pid": [[0.05] * 3] * 54}
+    assert table.summary(flown("grid@no-delay", True, 162))["mapped"] == "all 54, on no-delay"
+    alone = table.summary(flown("shelf", True, 12))
+    assert alone["mapped"] == ""
+    assert "The 54 targets" not in page.html(alone, "")
+
+
+def test_maps_stand_side_by_side_with_the_closest_distances():
+    scores = [Score(trial % 3 == 0, closest_m=0.03 + 0.01 * (trial % 3)) for trial in range(162)]
+    unseen = [Score(False)] * 162
+    result = table.summary(
+        {Job(Entry("pid"), "grid", range(162)): scores, Job(Entry("bad"), "grid", range(162)): unseen}
+    )
+    drawn = page.html(result, "softarm evaluate pid bad")
+    assert drawn.count("<figure>") == 2
+    assert drawn.count("y -0.40, z 0.55 m: reached in 1 of 3 flights; closest distance 30, 40, 50 mm") == 1
+    assert drawn.count("y -0.40, z 0.55 m: reached in 0 of 3 flights") == 1
+    assert drawn.count("not known") == 54
+    assert not re.search(r"https?:", drawn)

@@ -166,8 +166,8 @@ def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> 
 def test_the_users_plugin_is_flown_and_so_are_a_shipped_policy_and_the_examples(installed: Path) -> None:
     home = installed.parents[2] / "their-arm"
     softarm = installed.with_name("softarm")
-    assert "left: 54 targets" in run(softarm, "evaluate", "--policy", "left", cwd=home, seconds=390)
-    flown = run(softarm, "evaluate", "--policy", "reach", cwd=home)
+    assert "left: 54 targets" in run(softarm, "evaluate", "left", cwd=home, seconds=390)
+    flown = run(softarm, "evaluate", "reach", cwd=home)
     assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0
     examples = home.parent / "examples"
     tests = [examples / example.name / "tests" for example in EXAMPLES]

@@ -2,34 +2,42 @@
 
 import shlex
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from softarm.cli.shared.completion import policies as known_policies
+from softarm.cli.shared.completion import policies_and_files
 from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
+    check_places,
     config_option,
     flown_model,
     json_option,
     load_config,
     model_option,
     write,
+    write_bytes,
     write_json,
 )
-from softarm.cli.shared.printing import print_table
+from softarm.cli.shared.printing import print_table, waiting
 from softarm.common.processes import bar, cores
+
+if TYPE_CHECKING:
+    from softarm.evaluation.entries import Entry
+    from softarm.schemas.config import Config
+    from softarm.schemas.model import Model
 
 DEFAULT_POLICY = "reach"
 
 
 @dataclass(frozen=True)
 class _Choice:
-    """Options of one call, by their names in the command."""
+    """Arguments and options of one call, by their names in the command."""
 
     policies: tuple[str, ...]
     config_file: Path | None
@@ -39,46 +47,53 @@ class _Choice:
     only: tuple[str, ...]
     tests: tuple[str, ...]
     matrix: bool
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Policies that were given as ONNX files."""
-        return tuple(Path(policy) for policy in self.policies if policy.endswith(".onnx"))
+    report: Path | None
+    film: Path | None
+    target: tuple[float, float] | None
+    workers: int | None
+    json_file: Path | None
 
     def check(self) -> None:
-        """Raise UsageError for options that have no effect together."""
-        names = [policy for policy in self.policies if not policy.endswith(".onnx")]
-        if self.compare_all and names:
-            raise click.UsageError(
-                f"--policy {names[0]}: --all flies every policy that has a name. Choose rows with --only, and give "
-                "--policy FILE.onnx to add a file"
-            )
+        """Raise UsageError for options that have no effect together, and Failure for a place that does not exist."""
         if (self.runs or self.only) and not (self.compare_all or self.matrix):
-            raise click.UsageError("--runs and --only go with --all. Without --all, name each policy with --policy")
+            raise click.UsageError(
+                "--runs and --only go with --all. Without --all, name each policy or folder: softarm evaluate POLICY..."
+            )
         if self.matrix and self.runs is None:
             raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
-        if self.matrix and (self.policies or self.model_file):
+        if self.matrix and (self.policies or self.model_file or self.compare_all):
             raise click.UsageError(
-                "--matrix flies a sweep's policies on every shipped model: omit --policy and --model"
+                "--matrix flies a sweep's policies on every shipped model: omit POLICY, --model and --all"
             )
         if self.model_file and (own := [test for test in self.tests if "@" in test]):
             raise click.UsageError(f"--test {own[0]} names a model itself: omit --model, or @ and what follows")
+        if self.target and self.film is None:
+            raise click.UsageError("--target Y Z is the target of the film: add --film FILE.gif")
+        check_places(self.json_file, self.report, self.film)
+
+
+def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> None:
+    if given:
+        raise click.UsageError(
+            f"--policy is no option any more: name policies without it: softarm evaluate {shlex.join(given)}"
+        )
 
 
 @click.command()
-@click.option(
-    "--policy",
-    "policies",
-    multiple=True,
-    metavar="NAME|FILE.onnx",
-    shell_complete=known_policies,
-    help="A policy of `softarm policy list`, or an ONNX file; repeat to compare several.  [default: reach]",
-)
+@click.argument("policies", nargs=-1, metavar="[POLICY]...", shell_complete=policies_and_files)
+@click.option("--policy", multiple=True, hidden=True, expose_value=False, callback=_renamed)
 @json_option
 @config_option
 @model_option
-@click.option("--all", "compare_all", is_flag=True, help="Compare all policies in all tests.")
-@click.option("--report", type=FILE, help="Write the comparison as one HTML file.")
+@click.option("--all", "compare_all", is_flag=True, help="Compare all policies in all tests, and the files of POLICY.")
+@click.option("--report", type=FILE, help="Write the comparison with maps of the targets as one HTML file.")
+@click.option("--film", type=FILE, help="Write one flight of the first policy as FILE.gif, or FILE.mp4 with ffmpeg.")
+@click.option(
+    "--target",
+    type=(float, float),
+    metavar="Y Z",
+    help="With --film: its target, m.  [default: the highest one that the policy reaches]",
+)
 @click.option(
     "--runs",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
@@ -88,8 +103,11 @@ class _Choice:
 @click.option("--test", "tests", multiple=True, help="Fly this test, TEST or TEST@MODEL; repeatable.")
 @click.option("--matrix", is_flag=True, help="With --runs: fly the sweep alone, on every shipped model.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of a comparison.  [default: one per core]")
-def evaluate(json_file: Path | None, report: Path | None, workers: int | None, **chosen: Any) -> None:
+def evaluate(**chosen: Any) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
+
+    POLICY is a name of `softarm policy list`, an ONNX file, or the folder of a training run or sweep; `reach` if none
+    is given. Write ./NAME for a folder that has the name of a policy.
 
     Observer, policy, safety filter and failsafe are those of the daemon; only the devices are simulated. Several
     policies, --test or --report give a comparison in one table. --all compares every policy in every test: also from
@@ -97,57 +115,121 @@ def evaluate(json_file: Path | None, report: Path | None, workers: int | None, *
 
     \b
     Examples:
-      softarm evaluate --policy reach --json reach.json
-      softarm evaluate --policy runs/mine/reach.onnx --policy reach --policy pid --report mine.html
+      softarm evaluate reach --json reach.json
+      softarm evaluate mine.onnx runs/mine reach pid --config mine.yaml --report out.html
+      softarm evaluate runs/mine --film swing.gif --target -0.3 0.65
       softarm evaluate --all --json all.json --report all.html
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
     leaves(NOTHING)
     choice = _Choice(**chosen)
     choice.check()
-    if choice.compare_all or choice.matrix or choice.tests or report or len(choice.policies) > 1:
-        _compare(choice, json_file, report, workers or cores())
-        return
-    if workers is not None:
-        raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several --policy")
-    _evaluate(choice, json_file)
-
-
-def _compare(choice: _Choice, json_file: Path | None, report: Path | None, workers: int) -> None:
-    from softarm.evaluation import page, table
-    from softarm.evaluation import tests as known
-
-    flown_model(choice.model_file)
-    with failing(ValueError):
-        config = load_config(choice.config_file)
-        tests = choice.tests or known.default(choice.compare_all, choice.matrix)
-        if choice.model_file:
-            tests = tuple(known.on_model(test, choice.model_file) for test in tests)
-        for test in tests:
-            known.check(test)
-        names = choice.only if choice.compare_all or choice.matrix else choice.policies or (DEFAULT_POLICY,)
-        found = table.entries(choice.runs, names, choice.matrix, choice.files, config)
-        with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
-            result = table.compare(found, workers, tests, shown.advance, config)
-    click.echo(page.markdown(result), nl=False)
-    write_json(json_file, result)
-    if report is not None:
-        write(report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
-
-
-def _evaluate(choice: _Choice, json_file: Path | None) -> None:
-    from softarm.evaluation import evaluation
-
-    (policy,) = choice.policies or (DEFAULT_POLICY,)
     config = load_config(choice.config_file)
     model = flown_model(choice.model_file)
-    with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
-        result = evaluation.evaluate(policy, config, model, shown.advance)
+    with failing(ValueError):
+        tests = _tests(choice)
+        found = _entries(choice, tests, config)
+        compared = choice.compare_all or choice.matrix or choice.tests or choice.report or _needs_table(found)
+        if choice.workers is not None and not compared:
+            raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several policies")
+        film = None if choice.film is None else _film(choice.film, choice.target, found, tests, config)
+        if compared:
+            _compare(choice, found, tests, config)
+        else:
+            _evaluate(choice, found[0], config, model)
+        if film is not None:
+            film()
+
+
+def _tests(choice: _Choice) -> tuple[str, ...]:
+    """Return the tests to fly. Raises ValueError for an unknown one, or if none takes the model of --model."""
+    from softarm.evaluation import tests as known
+
+    tests = choice.tests or known.default(choice.compare_all, choice.matrix)
+    for test in tests:
+        known.check(test)
+    if choice.model_file is None:
+        return tests
+    if all(map(known.is_independent, tests)):
+        raise ValueError(f"--test {tests[0]} flies the independent robot, which takes no model: omit --model")
+    return tuple(known.on_model(test, choice.model_file) for test in tests)
+
+
+def _entries(choice: _Choice, tests: tuple[str, ...], config: "Config") -> "list[Entry]":
+    """Return the rows of the table, those of POLICY first; raise PolicyError for one that cannot be flown."""
+    from softarm.evaluation import entries, table
+
+    every = choice.compare_all or choice.matrix
+    found = entries.given(choice.policies or (() if every else (DEFAULT_POLICY,)), config)
+    if every:
+        if named := [entry.name for entry in found if entry.file is None]:
+            raise click.UsageError(
+                f"{named[0]}: --all flies every policy that has a name. Choose rows with --only; POLICY adds files "
+                "and training folders"
+            )
+        found += entries.every(choice.runs, choice.only, choice.matrix, config)
+    for entry in found:
+        if not every and not table.jobs([entry], tests):
+            raise ValueError(f"{entry.name}: is searched in the test grid alone; add --test grid")
+    return found
+
+
+def _needs_table(found: "Sequence[Entry]") -> bool:
+    from softarm.evaluation.entries import CEILING
+
+    return len(found) > 1 or found[0].name == CEILING
+
+
+def _compare(choice: _Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
+    from softarm.evaluation import page, table
+
+    with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
+        result = table.compare(found, choice.workers or cores(), tests, shown.advance, config)
+    click.echo(page.markdown(result), nl=False)
+    write_json(choice.json_file, result)
+    if choice.report is not None:
+        write(choice.report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
+
+
+def _evaluate(choice: _Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:
+    from softarm.evaluation import evaluation
+
+    with bar(f"flying {entry.name}", evaluation.FLIGHTS) as shown:
+        result = evaluation.evaluate(entry.name, config, model, shown.advance, entry.file)
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
     rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]
-    print_table(("targets", "reached"), rows, f"{policy}: 54 targets x 3 cart starts")
+    print_table(("targets", "reached"), rows, f"{entry.name}: 54 targets x 3 cart starts")
     click.echo(
         f"highest tip {result['max_tip_z_m']:.3f} m, farthest cart {result['max_cart_m']:.3f} m, "
         f"{result['real_time_factor']:.0f}x real time"
     )
-    write_json(json_file, result)
+    write_json(choice.json_file, result)
+
+
+def _film(
+    file: Path,
+    target_m: tuple[float, float] | None,
+    found: "Sequence[Entry]",
+    tests: tuple[str, ...],
+    config: "Config",
+) -> Callable[[], None]:
+    """Check what a film needs, and return a function that flies and writes it."""
+    from softarm.evaluation import film
+    from softarm.evaluation import tests as known
+    from softarm.evaluation.entries import CEILING
+    from softarm.evaluation.runner import load
+
+    film.check(file)
+    wanted, robot = film.candidates(tests[0], target_m, config), known.robot(tests[0])
+    first = next((entry for entry in found if entry.name != CEILING), None)
+    if first is None:
+        raise ValueError(f"--film {file}: {CEILING} is a search, not a policy; name a policy")
+
+    def write_film() -> None:
+        with waiting(f"drawing {file}"):
+            flown = film.fly(load(first.file or first.name, config), robot, wanted, config)
+            content = film.encode(first.name, flown, robot, config, file.suffix)
+        click.echo(film.sentence(first.name, flown))
+        write_bytes(file, content)
+
+    return write_film

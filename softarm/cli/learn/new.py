@@ -12,7 +12,7 @@ from softarm.cli.verbs import Verbs
 
 PURPOSES = {"policy": "a policy", "task": "a task to train on", "source": "a source of motion capture"}
 NEXT = {
-    "policy": ("softarm evaluate --policy {name}",),
+    "policy": ("softarm evaluate {name}",),
     "task": ("softarm train {name} --minutes 5",),
     "source": (
         "in softarm.yaml, under drivers: mocap: {{driver: {name}, options: {{port: 9763}}}}",

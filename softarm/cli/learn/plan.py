@@ -85,7 +85,7 @@ def plan(
     if not ceiling:
         print_text(f"wrote {out}. Next: fly the plans with the real control loop:")
         click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
-        click.echo("  softarm evaluate --policy mine --config mine.yaml")
+        click.echo("  softarm evaluate mine --config mine.yaml")
 
 
 def _show(found: "list[Row]") -> None:

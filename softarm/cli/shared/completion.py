@@ -27,6 +27,11 @@ def policies(context: click.Context, _: click.Parameter, begun: str) -> list[Com
     return _items(names | set(_configured(context.params.get("config_file"))), begun)
 
 
+def policies_and_files(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Complete policies as `policies` does, and files and folders."""
+    return [*policies(context, parameter, begun), _file(begun)]
+
+
 def _configured(file: Any) -> Iterable[str]:
     from softarm.common import yaml_lines
 

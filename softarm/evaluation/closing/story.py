@@ -161,8 +161,9 @@ def _before_and_after(closed: Closed) -> Html:
         f"The paper's {targets} targets from {closed.flights // targets} cart positions at rest, and as often in "
         "chains: the first goal of a chain starts with a swinging arm, each later one where the previous flight ended. "
         "The real control loop flies every goal; an unrequested stop is a failure. Differences are paired by goal, "
-        "with a 95 % bootstrap interval over targets and chains. Darker disc = more flights from rest reach the "
-        f"target; targets above z = 0.70 m lie outside the training range. The old policy is {closed.policy.stem}."
+        "with a 95 % bootstrap interval over targets and chains. The disc in a ring = share of flights from rest "
+        "that reach the target, a cross = none; targets above z = 0.70 m lie outside the training range. "
+        f"The old policy is {closed.policy.stem}."
     )
     return join([*parts, el("p", note, class_="hint")])
 
@@ -201,7 +202,7 @@ def _won(closed: Closed, place: str, manner: str) -> str:
 
 
 def _map(closed: Closed, policy: str, place: str) -> Html:
-    """Draw the targets as discs; darker = more flights from rest reach the target."""
+    """Draw the targets with the share of flights from rest that reach each."""
     reached = closed.flown[policy, place, REST].reached.reshape(len(closed.targets), len(CART_STARTS_M))
     y, z = [goal.y_m for goal in closed.targets], [goal.z_m for goal in closed.targets]
     title = f"{TITLES[policy]} from rest, {closed.place(place).title}"
@@ -219,8 +220,8 @@ def _training(policy: str, retrained: Retrained) -> Html:
         "echo 'policies: {retrained: {plugin: onnx, options: {model: retrained.onnx}}, "
         "replanned: {plugin: mppi, options: {model: patched-model.yaml}}}' > closed.yaml\n"
         "cat limits-patch.yaml >> closed.yaml\n"
-        "softarm evaluate --policy retrained --config closed.yaml --model patched-model.yaml\n"
-        "softarm evaluate --policy replanned --config closed.yaml --model patched-model.yaml"
+        "softarm evaluate retrained --config closed.yaml --model patched-model.yaml\n"
+        "softarm evaluate replanned --config closed.yaml --model patched-model.yaml"
     )
     rows = [
         (f"{row.frames / 1e6:.2f} M", f"{row.seconds:.0f} s", percent(row.validation))

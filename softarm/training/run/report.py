@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from softarm.policies.base import MODELS
 from softarm.reporting.document import Section, document
 from softarm.reporting.markup import Html, el, join, picture, table, tiles
 from softarm.training.learn.validation import Tested, chosen_by, fly_trials
@@ -10,6 +11,7 @@ from softarm.training.record import path_figure, tensorboard
 from softarm.training.record.checkpoint import load_policy
 from softarm.training.record.settings import Settings, quick_products, usual
 from softarm.training.run.session import Session
+from softarm.training.task.shelf import ShelfTask
 
 
 def fly_test_trials(session: Session) -> Tested:
@@ -89,7 +91,6 @@ def _text(value: object) -> str:
 
 def ending(session: Session, policy: Path) -> Iterator[str]:
     """Fly the test trials with the exported policy, write the page, and yield lines about files and next steps."""
-    name = f"my-{session.task.name}"
     yield f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:"
     yield f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached"
     yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm export`)"
@@ -102,6 +103,9 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     # A missing package was reported before the run.
     elif session.events.fault != tensorboard.missing():
         yield f"  {session.events.fault}"
-    yield "Next: fly them through the daemon's own tick:"
-    yield f"  echo '{{policies: {{{name}: {{plugin: onnx, options: {{model: {policy}}}}}}}}}' > mine.yaml"
-    yield f"  softarm evaluate --policy {name} --config mine.yaml"
+    name = session.task.name
+    shipped = f" {name}" if (MODELS / f"{name}.onnx").is_file() else ""
+    test = " --test shelf" if isinstance(session.task, ShelfTask) else ""
+    yield "Next: fly it through the daemon's own tick, and give it a name for the daemon:"
+    yield f"  softarm evaluate {session.out}{shipped}{test}"
+    yield f"  echo '{{policies: {{my-{name}: {{plugin: onnx, options: {{model: {policy}}}}}}}}}' > mine.yaml"

@@ -43,6 +43,7 @@ def test_trained_policies_are_shown_with_their_spread_and_the_papers_results(run
     shown = json.loads((tmp_path / "all.json").read_text())
     mine = shown["policies"]["mine"]["all"]
     assert len(mine["values"]) == 2
+    assert len(shown["closest_m"]["mine"][0]) == 6
     assert mine["mean"] == pytest.approx(np.mean(mine["values"]))
     assert mine["spread"] == pytest.approx(np.std(mine["values"], ddof=1))
     assert mine["mean"] > 0.8 > shown["policies"]["pid"]["all"]["mean"]
@@ -75,7 +76,7 @@ def test_trained_and_configured_policies_are_compared_with_shipped_ones(configur
     file.symlink_to(MODELS / "shelf.onnx")
     names = (str(file), "my-reach", "pid")
     result = run(
-        *(option for name in names for option in ("--policy", name)),
+        *names,
         *("--config", configured, "--model", "no-delay", "--test", "shelf", "--workers", 1),
         *("--json", tmp_path / "all.json", "--report", tmp_path / "all.html"),
     )
@@ -91,6 +92,58 @@ def test_trained_and_configured_policies_are_compared_with_shipped_ones(configur
 def test_a_trained_file_is_evaluated_alone(monkeypatch):
     few = flights.grid()[::20]
     monkeypatch.setattr(flights, "grid", lambda: few)
-    result = run("--policy", MODELS / "reach.onnx")
+    result = run(MODELS / "reach.onnx")
     assert result.exit_code == 0, result.output
     assert "x real time" in result.output
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """Record the policy files and names that are flown, and let every flight fail."""
+    flown = []
+
+    def measure(job, config=None):
+        flown.append((job.entry.name, job.test))
+        return [table.Score(False)] * len(job.part)
+
+    monkeypatch.setattr(table, "measure", measure)
+    return flown
+
+
+def test_files_folders_and_names_stand_in_one_table_in_their_order(runs, measured, tmp_path):
+    names = [str(MODELS / "shelf.onnx"), str(runs), "reach", str(runs / "mine" / "seed-1"), "pid"]
+    result = run(*names, "--workers", 1, "--json", tmp_path / "all.json")
+    assert result.exit_code == 0, result.output
+    table = json.loads((tmp_path / "all.json").read_text())
+    assert list(table["policies"]) == [names[0], f"{runs}/mine", *names[2:]]
+    assert table["seeds"][f"{runs}/mine"] == [1, 2]
+
+
+def test_files_and_folders_are_added_to_all_policies(runs, measured, tmp_path):
+    folder = str(runs / "mine" / "seed-1")
+    result = run("--all", folder, "--only", "pid", "--test", "shelf", "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert measured == [(folder, "shelf"), ("pid", "shelf")]
+
+
+def test_a_policy_that_cannot_be_used_is_refused_before_anything_flies(measured, tmp_path):
+    (tmp_path / "damaged.onnx").write_text("no model")
+    result = run("pid", tmp_path / "damaged.onnx", "--workers", 1)
+    assert result.exit_code == 1
+    assert "damaged.onnx" in result.stderr
+    assert measured == []
+
+
+@pytest.mark.parametrize("others", [(), ("pid", "--test", "shelf", "--model", "no-delay")], ids=["alone", "compared"])
+def test_the_film_shows_the_first_policy(monkeypatch, measured, tmp_path, others):
+    monkeypatch.chdir(tmp_path)
+    few = flights.grid()[::20]
+    monkeypatch.setattr(flights, "grid", lambda: few)
+    result = run(MODELS / "shelf.onnx", *others, "--film", "a.gif", "--target", -0.45, 0.6, "--workers", 1)
+    if not others:
+        assert result.exit_code == 2
+        assert "--workers goes with a comparison" in result.stderr
+        result = run(MODELS / "shelf.onnx", "--film", "a.gif", "--target", -0.45, 0.6)
+    assert result.exit_code == 0, result.output
+    assert "shelf.onnx, target y -0.45, z 0.6 m" in result.output
+    assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")

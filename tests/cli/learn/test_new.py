@@ -88,7 +88,7 @@ def test_the_written_files_and_the_next_commands_are_printed(tmp_path: Path) -> 
     assert [line.strip() for line in following] == [
         f"pip install --editable {tmp_path / 'lean'}",
         f"pytest {tmp_path / 'lean'}",
-        "softarm evaluate --policy lean",
+        "softarm evaluate lean",
     ]
 
 

@@ -52,8 +52,8 @@ def refused(folder, line, code):
         ("evaluate --all --only raech", "reach?"),
         ("evaluate --all --test gird", "grid?"),
         ("evaluate --all --test grid@no-dely", "no-delay?"),
-        ("evaluate --policy raech", "'reach'?"),
-        ("evaluate --policy reach --model nodelay", "no-delay?"),
+        ("evaluate pid raech", "reach?"),
+        ("evaluate reach --model nodelay", "no-delay?"),
         ("excite free-decay sed --simulated", "seed?"),
         ("model diff seed nodely", "no-delay?"),
         ("train raech", "reach?"),
@@ -83,7 +83,18 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("diagnose nowhere", "nowhere: does not exist; name an MCAP log, a trial folder"),
         ("evaluate --all --config missing.yaml", "missing.yaml"),
         ("evaluate --all --test held_back@no-delay", "takes no model"),
-        ("evaluate --policy missing.onnx --policy reach", "missing.onnx"),
+        ("evaluate hold", "policy hold: it takes no targets"),
+        ("evaluate missing.onnx reach", "missing.onnx: does not exist; name an ONNX file"),
+        ("evaluate pid reach.onnx", "reach.onnx: not an ONNX model that can be run"),
+        ("evaluate campaign", "campaign: no policy (*.onnx or NAME/seed-K/*.onnx) in this folder"),
+        ("evaluate verdict.json", "verdict.json: is no ONNX file"),
+        ("evaluate ceiling --test shelf", "ceiling: is searched in the test grid alone"),
+        ("evaluate --test held_back --model no-delay", "takes no model: omit --model"),
+        ("evaluate --report no/out.html", "no/out.html: the folder no does not exist; create it"),
+        ("evaluate --film swing.avi", "the suffix is '.avi'; allowed .gif or .mp4"),
+        ("evaluate --film swing.mp4", "needs the program ffmpeg, which is missing"),
+        ("evaluate --film swing.gif --target 0.9 0.6", "--target 0.9 0.6: y_m 0.9 is outside the workspace; allowed"),
+        ("evaluate ceiling --film swing.gif", "ceiling is a search, not a policy"),
         ("excite seed --reality --fault arm.paylod_kg=0.03", "write group.quantity=value"),
         ("identify nowhere --out m.yaml", "nowhere: does not exist; name an MCAP log, a trial folder"),
         ("logs recover .", "a.mcap: not a log"),
@@ -106,6 +117,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
 )
 def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, monkeypatch, line, message):
     monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr("shutil.which", lambda name: None)
     assert message in refused(folder, line, 1)
 
 
@@ -123,12 +135,13 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("diagnose stage.yaml --model seed", "is another rig and holds its own nominal model; omit --model"),
         ("doctor --url robot:8080", "e.g. http://127.0.0.1:8080"),
         ("doctor --url http://robot:port", "e.g. http://127.0.0.1:8080"),
-        ("evaluate --all --policy pid", "Choose rows with --only"),
+        ("evaluate --all pid", "Choose rows with --only"),
         ("evaluate --matrix", "give its folder with --runs"),
-        ("evaluate --matrix --runs . --model no-delay", "omit --policy and --model"),
+        ("evaluate --matrix --runs . --model no-delay", "omit POLICY, --model and --all"),
         ("evaluate --model no-delay --test grid@no-delay", "names a model itself"),
         ("evaluate --only pid", "go with --all"),
-        ("evaluate --policy reach --polcy pid", "--policy"),
+        ("evaluate --policy reach --policy pid", "name policies without it: softarm evaluate reach pid"),
+        ("evaluate --target -0.3 0.6", "add --film FILE.gif"),
         ("evaluate --workers 2", "goes with a comparison"),
         ("excite", "no excitation named: `softarm excite --list` shows all"),
         ("excite seed", "no robot chosen: use --config FILE for real devices, --simulated, or --reality"),

@@ -224,7 +224,7 @@ def test_the_commands_train_and_export(tmp_path):
     arguments = ["train", "reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
     result = invoke(*arguments)
     assert result.exit_code == 0, result.output
-    assert "softarm evaluate --policy my-reach" in result.output
+    assert f"softarm evaluate {out} reach" in result.output
     assert "report.html" in result.output
     for name in ("reach.onnx", "report.html", "tip_paths.png", "tensorboard"):
         assert (out / name).exists()
