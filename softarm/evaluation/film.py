@@ -180,10 +180,10 @@ def _gif(pictures: Sequence[Pixels]) -> bytes:
         content = io.BytesIO()
         options = {"save_all": True, "append_images": images[1:], "duration": durations_ms, "loop": 0}
         images[0].save(content, "GIF", optimize=True, **options)
-        if content.tell() <= BYTES_MAX:
+        if (size := len(content.getvalue())) <= BYTES_MAX:
             return content.getvalue()
     raise ValueError(
-        f"--film: the GIF has {content.tell() / 1e6:.1f} MB; allowed {BYTES_MAX / 1e6:g} MB: choose another --target"
+        f"--film: the GIF has {size / 1e6:.1f} MB; allowed {BYTES_MAX / 1e6:g} MB: choose another --target"
     )
 
 

@@ -11,16 +11,22 @@ from softarm.schemas.flights import TEST_TARGETS
 
 _LISTED = 3  # flights whose distances are listed one by one
 
-# Remarks below every table.
+# Remarks below a table: the row that one is about (None: every table), and the text.
 READING = (
-    "Empty: not measured. - = not applicable: the policy refused every one of these trials.",
-    "Ceiling: a cross-entropy search over open-loop commands for each trial, on the simulator itself and with the same "
-    "braking clamp. It is a lower bound of what can be reached from rest.",
-    "mppi plans for a fixed time per tick: on a busy computer it reaches less.",
-    "Seeds: training seeds. A shipped policy is one file of one seed; the folder of a sweep shows the spread.",
-    "The paper's figures were measured on its hardware. All other flights are simulated and flown by the real control "
-    "loop. The independent robot shares no code with the simulator; where its change has no figure, the change is the "
-    "effect registry's example.",
+    (None, "Empty: not measured. - = not applicable: the policy refused every one of these trials."),
+    (
+        CEILING,
+        "Ceiling: a cross-entropy search over open-loop commands for each trial, on the simulator itself and with the "
+        "same braking clamp. It is a lower bound of what can be reached from rest.",
+    ),
+    ("mppi", "mppi plans for a fixed time per tick: on a busy computer it reaches less."),
+    (None, "Seeds: training seeds. A shipped policy is one file of one seed; the folder of a sweep shows the spread."),
+    (
+        None,
+        "The paper's figures were measured on its hardware. All other flights are simulated and flown by the real "
+        "control loop. The independent robot shares no code with the simulator; where its change has no figure, the "
+        "change is the effect registry's example.",
+    ),
 )
 
 
@@ -37,7 +43,7 @@ def markdown(comparison: Comparison) -> str:
     rows = _rows(comparison, names, lambda figure, marks: _text(figure) + (f" [{marks}]" if marks else ""))
     lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
     notes = [f"- [{number}] {note}" for number, note in enumerate(footnotes(comparison), start=1)]
-    return "\n".join([*lines, "", *notes, *(f"- {line}" for line in READING)]) + "\n"
+    return "\n".join([*lines, "", *notes, *(f"- {line}" for line in _remarks(comparison))]) + "\n"
 
 
 def html(comparison: Comparison, command: str) -> str:
@@ -54,7 +60,7 @@ def html(comparison: Comparison, command: str) -> str:
     caption = "Each policy in each test; darker = more targets reached"
     whole = table(head, _rows(comparison, names, _cell), caption, numbers=range(1, len(head)))
     notes = el("ol", *(el("li", note) for note in footnotes(comparison)))
-    reading = [el("p", line, class_="hint") for line in READING]
+    reading = [el("p", line, class_="hint") for line in _remarks(comparison)]
     sections = [Section("Success by test", "table", join([whole, notes, *reading]))]
     if comparison["reached"]:
         sections += [_maps(comparison), _distances(comparison)]
@@ -99,6 +105,11 @@ def _note(share: float, closest_m: list[float | None]) -> str:
 def _farthest(closest_m: list[float | None]) -> str:
     known = [each for each in closest_m if each is not None]
     return f"{1e3 * max(known):.0f}" if len(known) == len(closest_m) else "not known"
+
+
+def _remarks(comparison: Comparison) -> list[str]:
+    """Return the remarks on every table and on the rows of this one."""
+    return [text for row, text in READING if row is None or row in comparison["policies"]]
 
 
 def _rows(

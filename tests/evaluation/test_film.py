@@ -72,9 +72,9 @@ def test_what_cannot_be_shown_is_refused():
         film.candidates("grid", (0.9, 0.6), CONFIG)
     with pytest.raises(PolicyError, match=r"no answer for the target \(-0\.43, 0\.6\)"):
         flown("trajectory", (-0.43, 0.6))
-    patient = Config.model_validate({"goals": {"time_limit_s": 11}})
+    longer = Config.model_validate({"goals": {"time_limit_s": 11}})
     with pytest.raises(ValueError, match="lasts 11 s; allowed up to 10 s"):
-        flown("pid", (-0.4, 0.8), config=patient)
+        flown("pid", (-0.4, 0.8), config=longer)
 
 
 def test_a_large_gif_shows_fewer_pictures_in_the_same_time(monkeypatch):

@@ -76,6 +76,9 @@ def test_a_figure_outside_the_training_range_has_a_note():
     result = table.summary({Job(entry, "grid", range(162)): missed for entry in found})
     assert result["notes"] == {"pid": {}, "reach": {"above": [table.OUTSIDE]}, "reach-wide": {}}
     assert page.footnotes(result) == [table.OUTSIDE]
+    assert "Seeds: " in page.markdown(result)
+    assert "mppi" not in page.markdown(result)
+    assert "Ceiling: " not in page.markdown(result)
 
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.prove)])

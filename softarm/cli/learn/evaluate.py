@@ -213,7 +213,7 @@ def _film(
     tests: tuple[str, ...],
     config: "Config",
 ) -> Callable[[], None]:
-    """Check what a film needs, and return a function that flies and writes it."""
+    """Fly what a film shows, before minutes of work, and return a function that draws and writes it."""
     from softarm.evaluation import film
     from softarm.evaluation import tests as known
     from softarm.evaluation.entries import CEILING
@@ -224,10 +224,12 @@ def _film(
     first = next((entry for entry in found if entry.name != CEILING), None)
     if first is None:
         raise ValueError(f"--film {file}: {CEILING} is a search, not a policy; name a policy")
+    with waiting(f"flying for {file}"):
+        flown = film.fly(load(first.file or first.name, config), robot, wanted, config)
 
     def write_film() -> None:
+        leaves(f"{file} was not written")
         with waiting(f"drawing {file}"):
-            flown = film.fly(load(first.file or first.name, config), robot, wanted, config)
             content = film.encode(first.name, flown, robot, config, file.suffix)
         click.echo(film.sentence(first.name, flown))
         write_bytes(file, content)

@@ -134,6 +134,7 @@ def test_a_policy_that_cannot_be_used_is_refused_before_anything_flies(measured,
     assert measured == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", [(), ("pid", "--test", "shelf", "--model", "no-delay")], ids=["alone", "compared"])
 def test_the_film_shows_the_first_policy(monkeypatch, measured, tmp_path, others):
     monkeypatch.chdir(tmp_path)
