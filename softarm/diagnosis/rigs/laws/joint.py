@@ -22,11 +22,14 @@ compiled = compiler(Path(__file__))
 KP, KD, LOW, HIGH, WIDTH = range(5)
 # Passive: viscous and quadratic friction, spring and its rest position, constant torque, error of the angle's zero.
 VISCOUS, DRAG, SPRING, REST, OFFSET, BIAS = range(5, 11)
-# Dry friction: sliding, more at rest, the speed at which that has faded, share of the actuator's torque.
-DRY, STICTION, SPEED, LOADED = range(11, 15)
+# Dry friction: sliding, more at rest, the speed at which that has faded, share of the actuator's torque, and the travel
+# over which it bends before it slips.
+DRY, STICTION, SPEED, LOADED, GIVE = range(11, 16)
 # Play between the joint and its sensor; inertia besides the model's.
-GAP, ARMATURE = range(15, 17)
-COLUMNS = 17
+GAP, ARMATURE = range(16, 18)
+COLUMNS = 18
+# Damping of friction while it bends, as a share of the root of stiffness times inertia.
+GRIP = 0.1
 # Rows of a path: inertia, load at zero position and speed, its slopes by position and by speed.
 INERTIA, LOAD, BY_POSITION, BY_SPEED = range(4)
 ROWS = 4
@@ -44,12 +47,38 @@ class Windows(NamedTuple):
 
 
 @compiled
+def slide(v, bend, net, resists, inertia, dry, give, h):
+    """Return speed and bend of the friction after a step of h seconds.
+
+    Args:
+        v: speed.
+        bend: share of the dry friction that is built up, -1 to 1.
+        net: torque without dry friction.
+        resists: inertia with the implicit part of the damping.
+        inertia: inertia alone.
+        dry: level of the dry friction.
+        give: travel over which it builds up (elastoplastic, a Prandtl element); 0 for rigid friction.
+        h: integration step, s.
+    """
+    if give <= 0.0 or dry <= 0.0:
+        return v + h * (net + min(max(-(v * resists / h + net), -dry), dry)) / resists, bend  # up to what stops it
+    stiff = dry / give
+    grip = GRIP * math.sqrt(stiff * inertia) * max(1.0 - (bend if v > 0.0 else -bend), 0.0)
+    bent = (resists * v + h * (net - dry * bend)) / (resists + h * (h * stiff + grip))
+    after = bend + h * bent / give
+    if abs(after) <= 1.0:
+        return bent, after
+    after = 1.0 if after > 0.0 else -1.0
+    return v + h * (net - dry * after) / resists, after
+
+
+@compiled
 def travel(start, side, drive, path, law, step_s, each, out):
     """Simulate a joint from a start; write the measured value at each sample to out [T], and return its play's side.
 
     Args:
         start: position and speed, [2].
-        side: place within the play, -1 to 1.
+        side: place within the play, and bend of the friction, -1 to 1.
         drive: drive of the actuator at each integration step, [T each].
         path: rigid-body terms at each sample, [ROWS, T].
         law: parameters by the columns above.
@@ -60,7 +89,7 @@ def travel(start, side, drive, path, law, step_s, each, out):
     kp, kd, low, high, width = law[KP], law[KD], law[LOW], law[HIGH], law[KP] * law[WIDTH]
     viscous, drag, spring, offset = law[VISCOUS], law[DRAG], law[SPRING], law[OFFSET] + law[SPRING] * law[REST]
     seen, v = start[0], start[1]
-    x = seen + side * half
+    x, bend = seen + side * half, side
     for i in range(size):
         out[i] = seen
         last = min(i + 1, path.shape[1] - 1)
@@ -82,8 +111,7 @@ def travel(start, side, drive, path, law, step_s, each, out):
             if law[STICTION] > 0.0:
                 dry += law[STICTION] * math.exp(-((v / law[SPEED]) ** 2))
             resists = max(inertia + h * damping, 0.1 * inertia)
-            net += min(max(-(v * resists / h + net), -dry), dry)  # up to what stops it
-            v += h * net / resists
+            v, bend = slide(v, bend, net, resists, inertia, dry, law[GIVE], h)
             x += h * v
             seen = min(max(seen, x - half), x + half)
             inertia += inertia_more

@@ -10,6 +10,8 @@ from softarm.simulator.effect_table import Effect, shape, strength
 
 # Share of the usual torque: a friction that matters.
 USUAL = 0.15
+# Usual travel over which dry friction bends before it slips: rad, and as a share of a slide's travel.
+GIVE_RAD, GIVE_SHARE = 1e-3, 1e-3
 _FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
 
 # Pairs that are easily mistaken for each other, and the motion that separates them.
@@ -57,6 +59,11 @@ class JointScales:
     step_s: float  # sampling interval
     period_s: float  # period of the usual motion
     command_rate: float  # fastest change of the command per second; 0 without a command
+
+    @property
+    def give(self) -> float:
+        """Usual travel over which dry friction bends before it slips."""
+        return GIVE_RAD if self.joint.turns else GIVE_SHARE * self.travel
 
     @property
     def length(self) -> str:
@@ -157,6 +164,7 @@ def _friction(s: JointScales) -> Iterator[Effect]:
         "dry friction",
         "{stage} has {torque} of dry friction",
         strength("torque", s.force, 0.0, 0.0, max(1.5 * s.torque, 3 * dry), dry + usual, "frictionloss"),
+        shape("give", s.length, s.give, 0.0, 20 * s.give, 2 * s.give, "travel over which it bends before it slips"),
     )
     yield Effect(
         "stiction",

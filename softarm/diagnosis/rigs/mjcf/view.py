@@ -50,6 +50,8 @@ MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
 OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
+# Tolerance of the travel over which friction bends, in its usual value.
+GIVE_TIMES = 3.0
 
 
 class JointView(RigView):
@@ -233,6 +235,7 @@ class JointView(RigView):
         own = {
             "spring.stiffness": OF_OWN * self._joint.spring,
             "coulomb_friction.torque": max(OF_OWN * self._joint.dry, OF_FORCE * s.usual),
+            "coulomb_friction.give": GIVE_TIMES * s.give,
             "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
             "sensor_bias.bias": ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel,
@@ -343,6 +346,7 @@ class JointView(RigView):
                 law[laws.LOW], law[laws.HIGH] = -limit, limit
         for path, column in (
             ("coulomb_friction.torque", laws.DRY),
+            ("coulomb_friction.give", laws.GIVE),
             ("stiction.torque", laws.STICTION),
             ("stiction.speed", laws.SPEED),
             ("load_friction.share", laws.LOADED),

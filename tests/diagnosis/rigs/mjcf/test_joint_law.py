@@ -74,6 +74,19 @@ def test_dry_friction_holds_a_joint_below_its_level_and_slows_it_above():
     assert found[-1] == pytest.approx(0.5 * 0.5 * 0.999**2, rel=5e-3)
 
 
+def test_dry_friction_bends_like_a_spring_before_it_slips():
+    pushed = np.concatenate((np.full(4000, 0.5), np.full(4000, -0.25)))
+    found = travelled(law(DRY=1.0, GIVE=0.01, VISCOUS=2.0), pushed)
+    assert found[3999] == pytest.approx(0.005, rel=0.02)
+    assert found[-1] == pytest.approx(-0.0025, rel=0.02)
+    # Beyond its level it is the friction of a rigid contact, less the way that it has bent.
+    slipped = [travelled(law(DRY=1.0, GIVE=give), np.full(1000, 3.0))[-1] for give in (0.0, 0.01)]
+    assert slipped[1] == pytest.approx(slipped[0], rel=0.06)
+    assert slipped[1] > slipped[0]
+    stiff = travelled(law(DRY=1.0, GIVE=1e-6), np.full(1000, 3.0))[-1]
+    assert stiff == pytest.approx(slipped[0], rel=1e-3)
+
+
 def test_errors_within_the_dead_band_make_no_torque():
     found = travelled(law(KP=50.0, KD=30.0, WIDTH=0.1), np.full(9000, 50.0))
     assert found[-1] == pytest.approx(0.9, abs=5e-3)
