@@ -93,7 +93,7 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")
-    _check(out)
+    _check(out, bool(models))
 
 
 def _joints(model: Path) -> "tuple[ModelJoint, ...]":
@@ -133,8 +133,8 @@ def _show(found: "Survey") -> None:
     print_table(("column", "from", "to", "unit in header", "role by name", "missing values"), rows, title, width=120)
 
 
-def _check(out: Path) -> None:
-    """Check the new file as `softarm check` does, and print the next command."""
+def _check(out: Path, has_model: bool) -> None:
+    """Check the new file as `softarm check` does, and print the next command; has_model: nothing is to complete."""
     from softarm.cli.setup.check_stage import check_stage
     from softarm.diagnosis.data.trials import TrialError
 
@@ -143,5 +143,6 @@ def _check(out: Path) -> None:
     except (Failure, TrialError):
         click.echo(f"next: correct {out}, then\n  softarm check {out}")
         raise
-    click.echo(f"next: complete `model:` in {out} with the values of your simulator, then")
+    missing = "" if has_model else f"complete `model:` in {out} with the values of your simulator, then"
+    click.echo(f"next: {missing}".rstrip())
     click.echo(f"  softarm diagnose {out} --report {out.with_suffix('.html').name}")

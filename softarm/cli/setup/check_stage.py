@@ -22,7 +22,8 @@ def check_stage(file: Path, data: Path | None) -> None:
 
     trials = tables.read(file, data)
     columns = ("trial", "kind", "channel", "rows", "seconds", "column", "from", "to", "unit")
-    print_table(columns, [row for trial in trials for row in _rows(trial)], f"{file}: contents", width=140)
+    rows = dict.fromkeys(row for trial in trials for row in _rows(trial))
+    print_table(columns, [*rows], f"{file}: contents", width=140)
     stages = {trial.stage.name: trial.stage.kind for trial in trials if trial.stage is not None}
     problems = []
     for name in stages:
@@ -42,13 +43,17 @@ def check_stage(file: Path, data: Path | None) -> None:
 
 
 def _rows(trial: "Trial") -> list[tuple[str, ...]]:
-    """Return a row for each column of a trial, in the unit of its stage file."""
+    """Return a row for each column of a trial, in the unit of its stage file; joints of one model share theirs."""
     rows: list[tuple[str, ...]] = []
+    joint = trial.stage.name if trial.stage is not None and trial.stage.kind == "mujoco" else None
+    name = trial.name if joint is None else trial.name.removesuffix(f"/{joint}")
     for channel, series in trial.channels.items():
         seconds = f"{series.t_s[-1] - series.t_s[0]:.4g}"
         for column, values in series.columns.items():
+            if joint is not None and channel == "measured" and column != joint:
+                continue
             own = trial.stage.units[channel].get(column) if trial.stage is not None else None
             worth, unit = (own.factor, own.name) if own is not None else (1.0, "")
             low, high = f"{values.min() / worth:.4g}", f"{values.max() / worth:.4g}"
-            rows.append((trial.name, trial.kind, channel, str(len(series)), seconds, column, low, high, unit))
+            rows.append((name, trial.kind, channel, str(len(series)), seconds, column, low, high, unit))
     return rows

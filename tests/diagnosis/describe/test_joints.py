@@ -54,6 +54,14 @@ def test_joints_actuators_and_units_are_found_and_the_file_is_valid(tmp_path, co
     }  # fmt: skip
 
 
+def test_the_check_lists_each_column_once_and_nothing_is_left_to_complete(tmp_path, columns):
+    result, _ = described(tmp_path, columns, [*USUAL, ("q_track", "track_m", 1.0)])
+    rows = [[cell.strip() for cell in line.split("│")] for line in result.stdout.splitlines()]
+    listed = [row[6] for row in rows if row[1:2] == ["run-1"]]
+    assert sorted(listed) == ["pan", "pan_drive", "tilt", "tilt_drive", "track"]
+    assert "complete `model:`" not in result.stdout
+
+
 def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
     degrees = [(old, new, 57.29578 if old != "t" else 1.0) for old, new, _ in USUAL]
     _, stage = described(tmp_path, columns, [(old, new.replace("tilt", "tilt_deg"), s) for old, new, s in degrees])
