@@ -1,5 +1,6 @@
 """Click group with verbs in sections; a verb's module is imported when the verb is used."""
 
+import shlex
 import traceback
 from collections.abc import Mapping
 from importlib import import_module
@@ -25,11 +26,13 @@ class Verb(NamedTuple):
 
 
 class LazyGroup(Verbs):
-    """Group of verbs from a table: section -> name -> verb."""
+    """Group of verbs from a table: section -> name -> verb; `moved` maps earlier spellings to present ones."""
 
-    def __init__(self, *args: Any, sections: Mapping[str, Mapping[str, Verb]], **options: Any) -> None:
+    def __init__(
+        self, *args: Any, sections: Mapping[str, Mapping[str, Verb]], moved: Mapping[str, str], **options: Any
+    ) -> None:
         super().__init__(*args, **options)
-        self._sections = sections
+        self._sections, self._moved = sections, moved
 
     @property
     def _verbs(self) -> dict[str, Verb]:
@@ -50,6 +53,14 @@ class LazyGroup(Verbs):
             self._explain_missing(cmd_name, error)
         assert isinstance(command, click.Command)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb; refuse an earlier spelling with the present one."""
+        if (present := self._moved.get(args[0])) is not None:
+            raise click.UsageError(f"`softarm {shlex.join(args)}` is now `softarm {present} {shlex.join(args[1:])}`")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb and end it with a sentence for an error of softarm's own kinds and for Ctrl-C.

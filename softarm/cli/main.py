@@ -15,7 +15,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "config": Verb("setup.config:config", "Write a new configuration; look up its keys."),
         "doctor": Verb("setup.doctor:doctor", "Check this computer before a flight."),
         "service": Verb("setup.service:service", "Install the daemon as a service."),
-        "check": Verb("setup.check:check", "Check a configuration and print the limits in force."),
+        "check": Verb("setup.check:check", "Check a configuration; print what differs from the default."),
     },
     "Ask the running daemon": {
         "status": Verb("operate.status:status", "Show the state of the arm and its faults."),
@@ -26,36 +26,43 @@ VERBS: dict[str, dict[str, Verb]] = {
         "goal": Verb("operate.goal:goal", "Reach for a target, run, hold, or cancel."),
         "policy": Verb("operate.policy:policy", "List the policies or choose one."),
         "events": Verb("recordings.events:events", "Show the events."),
+    },
+    "Look at recordings": {
+        "logs": Verb("recordings.logs:logs", "List, show, play, replay, export and repair recordings."),
         "incidents": Verb("recordings.incidents:incidents", "List or fetch incident files of stops."),
-        "logs": Verb("recordings.logs:logs", "List, export and repair recordings."),
-        "view": Verb("recordings.view:view", "Play a recording in the browser."),
-        "replay": Verb("recordings.replay:replay", "Run a recording through the tick again and compare."),
     },
     "Identify": {
         "excite": Verb("gap.excite:excite", "Play an excitation, on the robot or simulated, and record.", "sim"),
         "identify": Verb("gap.identify:identify", "Fit the arm's parameters to recordings.", "diagnosis"),
         "diagnose": Verb("gap.diagnose:diagnose", "Name the effects behind the gap to the simulator.", "diagnosis"),
-        "blind": Verb("gap.blind:blind", "Measure the diagnosis on robots with sealed faults.", "mujoco"),
         "close-gap": Verb(
             "gap.close_gap:close_gap", "Diagnose, patch the model, retrain, compare.", "diagnosis,train,mujoco"
         ),
     },
     "Learn and measure": {
         "train": Verb("learn.train:train", "Train a policy in the simulator.", "train"),
-        "export": Verb("learn.checkpoint:export", "Write a checkpoint as an ONNX policy.", "train"),
-        "plan": Verb("learn.plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
-        "soak": Verb("learn.soak:soak", "Fly for hours and report growth and events.", "sim"),
         "evaluate": Verb("learn.evaluate:evaluate", "Compare policies at the test targets.", "sim"),
         "model": Verb("learn.model:model", "Show, compare, check and export models of the robot."),
         "new": Verb("learn.new:new", "Create a plug-in, or the stage file of a rig.", "train"),
+        "dev": Verb("dev:dev", "Tools of softarm's makers; `softarm dev` lists them.", "diagnosis,train,mujoco"),
     },
+}
+# Earlier spelling -> present one.
+MOVED = {name: f"logs {name}" for name in ("view", "replay")} | {
+    name: f"dev {name}" for name in ("blind", "export", "plan", "soak")
 }
 
 
 EPILOGUE = "\b\nExit codes:\n" + "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXITS.items())
 
 
-@click.group(cls=LazyGroup, sections=VERBS, context_settings={"help_option_names": ["-h", "--help"]}, epilog=EPILOGUE)
+@click.group(
+    cls=LazyGroup,
+    sections=VERBS,
+    moved=MOVED,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=EPILOGUE,
+)
 @click.version_option(package_name="softarm")
 @click.option(
     "--debug", is_flag=True, envvar="SOFTARM_DEBUG", help="Show the traceback of a defect ($SOFTARM_DEBUG=1)."

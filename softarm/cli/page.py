@@ -22,10 +22,14 @@ def commands_of(name: str) -> Iterator[tuple[str, click.Command]]:
     """Yield a verb and its sub-verbs, each with its command line."""
     verb = main.get_command(click.Context(main), name)
     assert verb is not None
-    yield f"softarm {name}", verb
-    if isinstance(verb, click.Group):
-        for inner, command in verb.commands.items():
-            yield f"softarm {name} {inner}", command
+    yield from _below(f"softarm {name}", verb)
+
+
+def _below(path: str, command: click.Command) -> Iterator[tuple[str, click.Command]]:
+    yield path, command
+    if isinstance(command, click.Group):
+        for name, inner in command.commands.items():
+            yield from _below(f"{path} {name}", inner)
 
 
 def _does_something(command: click.Command) -> bool:

@@ -179,7 +179,7 @@ def _read(path: Path, _mtime_ns: int, size: int, to_run: bool) -> _File:
 def _metadata(path: Path, entries: dict[str, str]) -> PolicyMetadata:
     """Read and check the metadata of a file."""
     if METADATA_KEY not in entries:
-        raise PolicyError(f"{path}: no metadata under the key '{METADATA_KEY}'; export it with `softarm export`")
+        raise PolicyError(f"{path}: no metadata under the key '{METADATA_KEY}'; export it with `softarm dev export`")
     if (format_ := _format(entries[METADATA_KEY])) > METADATA_FORMAT:
         raise PolicyError(
             f"{path}: its metadata has format {format_}, this software reads {METADATA_FORMAT}: update it, or export "
@@ -266,7 +266,7 @@ def _check_graph(path: Path, session: Any, metadata: PolicyMetadata) -> None:
         }
         if got != wanted:
             raise PolicyError(
-                f"{path}: its {what} are {got}; they must be {wanted}, float32: export it with `softarm export`"
+                f"{path}: its {what} are {got}; they must be {wanted}, float32: export it with `softarm dev export`"
             )
 
 

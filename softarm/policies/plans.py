@@ -1,4 +1,4 @@
-"""File of planned trajectories, written by `softarm plan` and flown by the policy `trajectory`."""
+"""File of planned trajectories, written by `softarm dev plan` and flown by the policy `trajectory`."""
 
 import zipfile
 from dataclasses import dataclass, fields
@@ -41,7 +41,7 @@ class Plans:
     @classmethod
     def load(cls, file: Path) -> Self:
         """Read and check a file. Raises PolicyError with the problem and the remedy."""
-        again = "make one with `softarm plan --out FILE`"
+        again = "make one with `softarm dev plan --out FILE`"
         try:
             with zipfile.ZipFile(file) as archive:
                 size = sum(member.file_size for member in archive.infolist())

@@ -80,7 +80,7 @@ class Trajectory:
             raise PolicyError(
                 f"no plan for the target ({goal[0]:.3f}, {goal[1]:.3f}) m: the nearest of {_grid(plans)} is "
                 f"{off_m[nearest] * 100:.1f} cm off, allowed {TARGET_TOLERANCE_M * 100:.0f} cm; "
-                "plan it with `softarm plan --target Y Z --out FILE`"
+                "plan it with `softarm dev plan --target Y Z --out FILE`"
             )
         same = np.flatnonzero((plans.target_m == plans.target_m[nearest]).all(axis=1))
         chosen = int(same[np.abs(plans.cart_start_m[same] - observation[_CART]).argmin()])
@@ -91,7 +91,7 @@ class Trajectory:
             raise PolicyError(
                 f"no plan from here: plans begin with the arm hanging at rest and the cart at {starts} m; now the cart "
                 f"is {cart_off_m * 100:.1f} cm and the tip {tip_off_m * 100:.1f} cm off, allowed "
-                f"{START_TOLERANCE_M * 100:.0f} cm; wait for rest, or plan with `softarm plan --start M --out FILE`"
+                f"{START_TOLERANCE_M * 100:.0f} cm; wait for rest, or plan with `softarm dev plan --start M --out FILE`"
             )
         return chosen
 

@@ -177,7 +177,7 @@ def _notes(every: int, events: int) -> list[str]:
     if every > 1:
         notes.append(f"It is long: of {every} ticks one is shown, with the worst lateness of them all.")
     if events > EVENTS_MAX:
-        notes.append(f"The first {EVENTS_MAX} of {events} events are listed; `softarm events LOG` has all.")
+        notes.append(f"The first {EVENTS_MAX} of {events} events are listed; `softarm logs show LOG` has all.")
     return notes
 
 

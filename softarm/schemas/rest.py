@@ -190,7 +190,7 @@ class ReplayAnswer(Strict):
     ticks: int = Field(description="ticks in the log")
     compared: int = Field(description="compared ticks; ticks that follow a gap in the log are skipped")
     differences: int
-    sentences: tuple[str, ...] = Field(description="output of `softarm replay`; the last sentence is the result")
+    sentences: tuple[str, ...] = Field(description="output of `softarm logs replay`; the last sentence is the result")
 
 
 class ReportEntry(Strict):

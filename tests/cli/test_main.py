@@ -8,7 +8,7 @@ import pytest
 
 from softarm import cli
 from softarm.cli.lazy_group import Verb
-from softarm.cli.main import VERBS
+from softarm.cli.main import MOVED, VERBS
 from softarm.cli.page import commands_of
 from tests.cli.invoke import invoke
 
@@ -47,6 +47,21 @@ def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatc
     assert result.stderr == (
         "softarm needy needs the package 'a_package_that_is_not_there': pip install 'softarm[train]'\n"
     )
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_an_earlier_spelling_states_the_present_one(old):
+    result = invoke(old, "a b", "--help")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == f"Error: `softarm {old} 'a b' --help` is now `softarm {MOVED[old]} 'a b' --help`\n"
+    assert invoke(*MOVED[old].split(), "--help").exit_code == 0
+
+
+def test_tools_of_makers_are_listed_below_dev_alone():
+    first, below = invoke("--help").output, invoke("dev", "--help").output
+    for name in ("blind", "export", "plan", "soak"):
+        assert f"\n  {name} " in below
+        assert f"\n  {name} " not in first
 
 
 def test_the_version_is_the_installed_one():

@@ -110,7 +110,7 @@ def completed(words, number):
         ("softarm evaluate reach --config arm.yaml mi", 5, ["plain,mine", "file,mi"]),
         ("softarm model show no-d", 3, ["plain,no-delay", "file,no-d"]),
         ("softarm run --model no-d", 3, ["plain,no-delay", "file,no-d"]),
-        ("softarm replay logs/s", 2, ["plain,logs/soft-2.mcap", "plain,logs/soft-1.mcap", "file,logs/s"]),
+        ("softarm logs replay logs/s", 3, ["plain,logs/soft-2.mcap", "plain,logs/soft-1.mcap", "file,logs/s"]),
         ("softarm incidents l", 2, ["plain,latest"]),
         ("softarm incidents i", 2, ["plain,incident-1.zip"]),
         ("softarm excite rail-ch", 2, ["plain,rail-chirp"]),

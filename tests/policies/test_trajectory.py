@@ -88,7 +88,7 @@ def test_the_plan_from_the_nearest_start_is_chosen_after_each_reset(file):
     [
         ((-0.2, 0.62), seen(), r"\(-0.200, 0.620\) m: .*2 targets.*y -0.30..-0.20, z 0.60..0.60 .*2.0 cm off"),
         ((np.nan, np.nan), seen(), "no plan for the target"),
-        ((-0.2, 0.6), seen(cart=0.05), r"cart at 0.00, 0.10 m; .*5.0 cm .*softarm plan --start"),
+        ((-0.2, 0.6), seen(cart=0.05), r"cart at 0.00, 0.10 m; .*5.0 cm .*softarm dev plan --start"),
         ((-0.2, 0.6), seen(tip=(-0.05, 0.52)), "the tip 5.0 cm off"),
     ],
 )
@@ -98,7 +98,7 @@ def test_a_target_without_a_plan_is_refused(file, goal, observation, said):
         policy.step(observation, np.array(goal, dtype=np.float32))
     fault = InlineRunner(policy).step(observation, np.array(goal, dtype=np.float32)).fault
     assert fault is not None
-    assert "softarm plan" in fault
+    assert "softarm dev plan" in fault
 
 
 @pytest.mark.parametrize("name", ["k_y", "k_z", "extension_steps"])
@@ -133,7 +133,7 @@ def test_an_invalid_file_of_plans_is_refused(file, changed, said):
     broken(file, **changed)
     with pytest.raises(PolicyError, match=said) as refused:
         Trajectory(str(file))
-    assert "softarm plan" in str(refused.value)
+    assert "softarm dev plan" in str(refused.value)
 
 
 @pytest.mark.parametrize(("name", "content"), [("steps.npy", b"no array"), ("more.npy", bytes(300_000_000))])
@@ -143,7 +143,7 @@ def test_a_file_with_an_invalid_or_oversized_member_is_refused(file, name, conte
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for each, data in (members | {name: content}).items():
             archive.writestr(each, data)
-    with pytest.raises(PolicyError, match="softarm plan"):
+    with pytest.raises(PolicyError, match="softarm dev plan"):
         Trajectory(str(file))
 
 

@@ -1,4 +1,4 @@
-"""`softarm blind`: make sealed cases of the blind benchmark, answer them and score the answers."""
+"""`softarm dev blind`: make sealed cases of the blind benchmark, answer them and score the answers."""
 
 from pathlib import Path
 
@@ -20,9 +20,9 @@ def blind() -> None:
 
     \b
     Examples:
-      softarm blind make cases --labels sealed/labels.json --fresh sealed/fresh
-      softarm blind run cases --answers answers.json
-      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
+      softarm dev blind make cases --labels sealed/labels.json --fresh sealed/fresh
+      softarm dev blind run cases --answers answers.json
+      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
     """
 
 
@@ -40,7 +40,7 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
 
     \b
     Example:
-      softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
+      softarm dev blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
     """
     from softarm.diagnosis.blind import make as making
 
@@ -49,7 +49,7 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
     with bar("flying", len(cases)) as shown:
         making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
     click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
-    click.echo(f"next: softarm blind run {data} --answers answers.json")
+    click.echo(f"next: softarm dev blind run {data} --answers answers.json")
 
 
 @blind.command()
@@ -65,8 +65,8 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
 
     \b
     Examples:
-      softarm blind run cases --answers answers.json
-      softarm blind run cases --answers bic.json --method bic
+      softarm dev blind run cases --answers answers.json
+      softarm dev blind run cases --answers bic.json --method bic
     """
     from softarm.diagnosis.blind import run as running
 
@@ -89,7 +89,7 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
 
     \b
     Example:
-      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
+      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
         --answers answers.json --answers bic.json --out score
     """
     from softarm.diagnosis.blind import opening

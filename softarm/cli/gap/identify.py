@@ -37,6 +37,8 @@ def identify(
 ) -> None:
     """Fit the arm to INPUTS: logs of the daemon (.mcap), trial folders, or campaigns of them.
 
+    It measures parameters that the simulator has; `softarm diagnose` finds effects that it lacks.
+
     It starts with the paper's method: torques by inverse dynamics, then least squares. It then fits the simulator to
     the motion of every link. The 95 % intervals come from leaving out one-second blocks. Masses and lengths are those
     of --model. --limits also measures the rail: its worst latency, braking and acceleration.

@@ -1,4 +1,4 @@
-"""`softarm export`: a checkpoint of a training run as an ONNX policy."""
+"""`softarm dev export`: a checkpoint of a training run as an ONNX policy."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def export(checkpoint: Path, out: Path) -> None:
 
     \b
     Example:
-      softarm export runs/reach-1/best.pt --out my-reach.onnx
+      softarm dev export runs/reach-1/best.pt --out my-reach.onnx
     """
     leaves(NOTHING)
     with waiting(f"reading {checkpoint}"):

@@ -1,4 +1,4 @@
-"""`softarm plan`: optimise trajectories for the policy `trajectory`, or search which targets can be reached."""
+"""`softarm dev plan`: optimise trajectories for the policy `trajectory`, or search which targets can be reached."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,9 +50,9 @@ def plan(
 
     \b
     Examples:
-      softarm plan
-      softarm plan --target -0.2 0.7 --start 0
-      softarm plan --ceiling
+      softarm dev plan
+      softarm dev plan --target -0.2 0.7 --start 0
+      softarm dev plan --ceiling
     """
     import time
 

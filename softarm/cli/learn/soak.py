@@ -1,4 +1,4 @@
-"""`softarm soak`: fly for hours and watch for growth and unexpected events."""
+"""`softarm dev soak`: fly for hours and watch for growth and unexpected events."""
 
 import shlex
 import sys
@@ -41,8 +41,8 @@ def soak(
 
     \b
     Examples:
-      softarm soak --hours 1 --lockstep-days 3 --report soak.html --json soak.json
-      softarm soak --hours 0 --lockstep-days 0.1
+      softarm dev soak --hours 1 --lockstep-days 3 --report soak.html --json soak.json
+      softarm dev soak --hours 0 --lockstep-days 0.1
     """
     from softarm.common.processes import bar
     from softarm.evaluation.soak import both, page

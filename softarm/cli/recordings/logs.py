@@ -1,4 +1,4 @@
-"""`softarm logs`: list, recover and export the daemon's recordings."""
+"""`softarm logs`: list, show, play, replay, export and repair the daemon's recordings."""
 
 from datetime import datetime
 from pathlib import Path
@@ -6,27 +6,38 @@ from pathlib import Path
 import click
 
 from softarm.cli.recordings.export import export
+from softarm.cli.recordings.replay import replay
+from softarm.cli.recordings.show import show
+from softarm.cli.recordings.view import view
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.printing import print_json, print_option
+from softarm.cli.verbs import Verbs
 
 
-@click.group(invoke_without_command=True)
-@print_option
-@remote
-@click.pass_context
-def logs(context: click.Context, daemon: Remote, as_json: bool) -> None:
-    """List the recordings, newest first, with the time of the last write, size, length and path.
+@click.group(cls=Verbs)
+def logs() -> None:
+    """List, show, play, replay, export and repair the daemon's recordings.
 
     \b
     Examples:
-      softarm logs
-      softarm logs recover logs            repair logs cut off by a kill or a full disk
+      softarm logs list
+      softarm logs view LOG                play it in the browser
       softarm logs export --to csv LOG     tables for other programs
     """
-    if context.invoked_subcommand is not None:
-        return
+
+
+@logs.command("list")
+@print_option
+@remote
+def list_(daemon: Remote, as_json: bool) -> None:
+    """List the recordings, newest first, with the time of the last write, size, length and path.
+
+    \b
+    Example:
+      softarm logs list
+    """
     answer = daemon.get("/api/logs")
     if as_json:
         print_json(answer)
@@ -43,7 +54,8 @@ def logs(context: click.Context, daemon: Remote, as_json: bool) -> None:
         )
 
 
-logs.add_command(export)
+for verb in (show, view, replay, export):
+    logs.add_command(verb)
 
 
 @logs.command()

@@ -1,4 +1,4 @@
-"""`softarm replay`: run a recorded log through the tick again and compare the commands."""
+"""`softarm logs replay`: run a recorded log through the tick again and compare the commands."""
 
 import sys
 from itertools import chain
@@ -23,8 +23,8 @@ def replay(files: tuple[Path, ...]) -> None:
 
     \b
     Examples:
-      softarm replay logs/softarm-20260101T120000Z.mcap
-      softarm replay logs/softarm-20260101T*.mcap          a run that left several
+      softarm logs replay logs/softarm-20260101T120000Z.mcap
+      softarm logs replay logs/softarm-20260101T*.mcap          a run that left several
     """
     from softarm.daemon.logbook import logs as recordings
     from softarm.daemon.runtime.replay import describe

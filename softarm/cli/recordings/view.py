@@ -1,4 +1,4 @@
-"""`softarm view`: play a log in the browser."""
+"""`softarm logs view`: play a log in the browser."""
 
 import webbrowser
 from pathlib import Path
@@ -21,9 +21,9 @@ def view(log: Path | None, out: Path | None, to_open: bool, layout: Path | None)
 
     \b
     Examples:
-      softarm view logs/softarm-20260101T120000Z.mcap
-      softarm view --out swing.html --no-open logs/softarm-20260101T120000Z.mcap
-      softarm view --layout softarm-layout.json        for Foxglove
+      softarm logs view logs/softarm-20260101T120000Z.mcap
+      softarm logs view --out swing.html --no-open logs/softarm-20260101T120000Z.mcap
+      softarm logs view --layout softarm-layout.json        for Foxglove
     """
     from softarm.cli.recordings.export import progress
     from softarm.daemon.logbook import logs
@@ -34,7 +34,7 @@ def view(log: Path | None, out: Path | None, to_open: bool, layout: Path | None)
         write(layout, export.layout())
     if log is None:
         if layout is None:
-            raise click.UsageError("which log? `softarm logs` lists them")
+            raise click.UsageError("which log? `softarm logs list` lists them")
         return
     opened = logs.read(log)
     with progress(opened) as advance:

@@ -42,7 +42,7 @@ READ_ME = """\
 {text}
 {time:%Y-%m-%d %H:%M:%S} UTC, softarm {version} on {machine}
 
-log.mcap            log from 20 s before to 5 s after the stop: softarm replay log.mcap
+log.mcap            log from 20 s before to 5 s after the stop: softarm logs replay log.mcap
 events.txt          events until then, UTC
 configuration.json  configuration in force, without token files
 versions.json       software and computer

@@ -68,11 +68,11 @@ def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels,
     if missing := sorted(set(labels.cases) ^ set(given)):
         raise seal.SealError(
             f"{file}: {', '.join(missing[:5])} {'is' if len(missing) == 1 else 'are'} in the labels or in the answers, "
-            "but not in both; finish `softarm blind run` on these data"
+            "but not in both; finish `softarm dev blind run` on these data"
         )
     for case, digest in given.items():
         if seal.case_sha256(data / case) != digest:
-            raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm blind run` again")
+            raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm dev blind run` again")
 
 
 def _scored(labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, on_case: OnCase) -> list[Scored]:

@@ -77,7 +77,7 @@ def folders(data: Path) -> list[Path]:
     cases = sorted(path.parent for path in data.glob("*/model.yaml"))
     if not cases:
         raise seal.SealError(
-            f"{data}: contains no case (a folder with a model.yaml); name the folder that `softarm blind make` wrote"
+            f"{data}: contains no case (no folder with a model.yaml); name the one that `softarm dev blind make` wrote"
         )
     return cases
 

@@ -80,16 +80,18 @@ def keep_apart(place: Path, data: Path) -> None:
 
 def read_labels(file: Path) -> Labels:
     """Raises SealError for a file that holds no labels."""
-    data = _json(file, "the labels that `softarm blind make` wrote")
+    data = _json(file, "the labels that `softarm dev blind make` wrote")
     try:
         return Labels(data["salt"], data["seed"], data["cases"])
     except (KeyError, TypeError):
-        raise SealError(f"{file}: contains no labels; name the file that `softarm blind make --labels` wrote") from None
+        raise SealError(
+            f"{file}: contains no labels; name the file that `softarm dev blind make --labels` wrote"
+        ) from None
 
 
 def check_labels(labels: Labels, data: Path) -> None:
     """Raise SealError if the labels differ from the commitment in the data folder."""
-    promised, found = _json(data / COMMITMENT, "the commitment of `softarm blind make`"), commitment(labels)
+    promised, found = _json(data / COMMITMENT, "the commitment of `softarm dev blind make`"), commitment(labels)
     if promised != found:
         cases = promised.get("cases", {}) if isinstance(promised, dict) else {}
         other = sorted(name for name in {*cases, *found["cases"]} if cases.get(name) != found["cases"].get(name))
@@ -113,10 +115,12 @@ def check_frozen(answers: Path) -> str:
         digest = sha256(answers.read_bytes())
     except (OSError, IndexError):
         raise SealError(
-            f"{answers}: is not frozen ({answers.name}.sha256 is missing); finish `softarm blind run` first"
+            f"{answers}: is not frozen ({answers.name}.sha256 is missing); finish `softarm dev blind run` first"
         ) from None
     if digest != frozen:
-        raise SealError(f"{answers}: has changed since it was frozen; run `softarm blind run` again on unseen cases")
+        raise SealError(
+            f"{answers}: has changed since it was frozen; run `softarm dev blind run` again on unseen cases"
+        )
     return digest
 
 

@@ -56,7 +56,7 @@ def html(real: realtime.Soaked | None, stepped: lockstep.Stepped | None, command
     if stepped is not None:
         facts = [("simulated days", f"{stepped.days:.2f}")]
         sections.append(Section("In lockstep", "lockstep", _figures(stepped, facts, "simulated day", stepped.days)))
-    return document("Soak", "softarm soak", join(lead), sections)
+    return document("Soak", "softarm dev soak", join(lead), sections)
 
 
 def _plain(soaked: realtime.Soaked | lockstep.Stepped) -> dict[str, Any]:

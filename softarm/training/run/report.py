@@ -93,7 +93,7 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     """Fly the test trials with the exported policy, write the page, and yield lines about files and next steps."""
     yield f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:"
     yield f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached"
-    yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm export`)"
+    yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm dev export`)"
     tested = fly_test_trials(session)
     yield f"  {tested.sentence}"
     path = write(session, tested)

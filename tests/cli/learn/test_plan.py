@@ -1,4 +1,4 @@
-"""Tests of `softarm plan`."""
+"""Tests of `softarm dev plan`."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def small(monkeypatch):
 
 def test_plan_writes_plans_and_results(small, tmp_path):
     out, results = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
-    arguments = ["plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(results)]
+    arguments = ["dev", "plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(results)]
     result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     plans = Plans.load(out)
@@ -32,7 +32,7 @@ def test_the_ceiling_of_all_targets_is_printed_by_height(monkeypatch, tmp_path):
     monkeypatch.setattr(ceiling, "ROUNDS", 2)
     monkeypatch.setattr(ceiling, "POPULATION", 24)
     monkeypatch.chdir(tmp_path)
-    result = invoke("plan", "--ceiling", "--start", "0")
+    result = invoke("dev", "plan", "--ceiling", "--start", "0")
     assert result.exit_code == 0, result.output
     for words in ("z <= 0.70 m", "z > 0.70 m", "54 searched in", "missed from at least one start: ("):
         assert words in result.output

@@ -274,7 +274,7 @@ def test_logs_are_listed_with_size_duration_and_path(softarm, daemon, monkeypatc
         )
     )
     daemon.on("GET", "/api/logs", LogsAnswer(directory="/var/log/softarm", logs=logs).model_dump(mode="json"))
-    lines = softarm("logs").stdout.splitlines()
+    lines = softarm("logs", "list").stdout.splitlines()
     assert [line[19:] for line in lines] == [
         "       2.5 MB             /var/log/softarm/b.mcap  (recording)",
         "       9.1 MB     61.0 s  /var/log/softarm/a.mcap",
@@ -284,7 +284,7 @@ def test_logs_are_listed_with_size_duration_and_path(softarm, daemon, monkeypatc
 
 def test_an_empty_list_of_logs_is_reported(softarm, daemon):
     daemon.on("GET", "/api/logs", LogsAnswer(directory="/tmp/x", logs=()).model_dump())
-    result = softarm("logs")
+    result = softarm("logs", "list")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "no recordings yet in /tmp/x\n")
 
 

@@ -44,12 +44,21 @@ def test_following_continues_after_a_restart_of_the_daemon(softarm, daemon, monk
     assert (result.exit_code, result.stderr) == (1, "enough\n")
 
 
-def test_the_events_of_a_log_are_shown(softarm, tmp_path):
+def test_a_recording_shows_its_end_its_policies_and_its_events(softarm, tmp_path):
     recorder = Recorder(Config(recorder={"directory": tmp_path}))
     recorder.start()
     for tick, mode in ((1, Mode.DISARMED), (2, Mode.ARMED)):
         recorder.tick(Inputs(tick), Outputs(tick, tick, 0, 0, 0, mode, EStop.CLEAR), TickTiming(0, 0, 0, None))
     recorder.stop()
-    event = json.loads(softarm("events", "--json", recorder.path).stdout)
+    event = json.loads(softarm("logs", "show", "--json", recorder.path).stdout)
     assert (event["tick"], event["text"]) == (2, "disarmed → armed")
-    assert softarm("events", recorder.path).stdout.endswith("  disarmed → armed\n")
+    end, policies, shown = softarm("logs", "show", recorder.path).stdout.splitlines()
+    assert end.startswith(f"{recorder.path}: finished, ")
+    assert policies == "policies: none"
+    assert shown.endswith("  disarmed → armed")
+
+
+def test_the_events_of_a_log_are_found_below_logs(softarm):
+    result = softarm("events", "a.mcap")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "Error: `softarm events LOG` is now `softarm logs show LOG`\n" in result.stderr

@@ -1,4 +1,4 @@
-"""Tests of `softarm replay`."""
+"""Tests of `softarm logs replay`."""
 
 import re
 
@@ -33,7 +33,7 @@ def log(tmp_path):
 
 
 def replay(path):
-    return invoke("replay", path)
+    return invoke("logs", "replay", path)
 
 
 def copy(log, path, keep):

@@ -1,4 +1,4 @@
-"""Tests of `softarm view`."""
+"""Tests of `softarm logs view`."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ def browser(monkeypatch):
 
 
 def view(*arguments):
-    return invoke("view", *arguments)
+    return invoke("logs", "view", *arguments)
 
 
 def test_a_page_is_written_and_opened(browser, tmp_path):

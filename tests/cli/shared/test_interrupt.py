@@ -46,12 +46,12 @@ def test_ctrl_c_while_waiting_leaves_the_daemon_running(softarm, daemon, make_st
     ("line", "patched", "left"),
     [
         ("evaluate", "evaluation.evaluation.evaluate", "nothing was written"),
-        ("plan --ceiling", "training.trajectory.rows.of_searches", "nothing was written"),
+        ("dev plan --ceiling", "training.trajectory.rows.of_searches", "nothing was written"),
         ("diagnose x.mcap", "diagnosis.from_files.diagnose_files", "nothing was written"),
-        ("blind run cases --answers a.json", "diagnosis.blind.run.run", "the answers so far are kept in a.json"),
+        ("dev blind run cases --answers a.json", "diagnosis.blind.run.run", "the answers so far are kept in a.json"),
         ("train reach --out mine", "training.run.recipe.begin", "no checkpoint yet; mine may be deleted"),
         ("train --sweep a.yaml --out runs", "training.run.sweep.load", "finished runs are kept in runs; the same"),
-        ("replay x.mcap", "daemon.logbook.logs.parts", "nothing was changed"),
+        ("logs replay x.mcap", "daemon.logbook.logs.parts", "nothing was changed"),
     ],
 )
 def test_ctrl_c_during_work_reports_what_is_kept(softarm, monkeypatch, line, patched, left):

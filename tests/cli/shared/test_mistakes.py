@@ -45,7 +45,7 @@ def refused(folder, line, code):
 @pytest.mark.parametrize(
     ("line", "near"),
     [
-        ("blind run cases --answers a.json --method bics", "bic?"),
+        ("dev blind run cases --answers a.json --method bics", "bic?"),
         ("close-gap campaign --out closed --policy reech", "reach?"),
         ("close-gap campaign --out closed --robot no-dely", "no-delay?"),
         ("diagnose campaign --model no-dely", "no-delay?"),
@@ -165,7 +165,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("status --url 127.0.0.1:8080", "e.g. http://127.0.0.1:8080"),
         ("status --url http://[::1", "e.g. http://127.0.0.1:8080"),
         ("twin", "no ports given: use --config FILE"),
-        ("view", "which log? `softarm logs` lists them"),
+        ("logs view", "which log? `softarm logs list` lists them"),
         ("xyzzy", "`softarm --help` lists the verbs"),
     ],
 )
@@ -190,7 +190,7 @@ def test_a_file_that_is_not_a_recording_is_recognised(folder, verb, name, messag
     assert refused(folder, f"{verb} {name}", 1) == f"{name}: {message}"
 
 
-@pytest.mark.parametrize("verb", ["view --no-open", "logs export --to csv", "logs recover", "events", "replay"])
+@pytest.mark.parametrize("verb", ["view --no-open", "export --to csv", "recover", "show", "replay"])
 def test_a_file_that_is_not_a_log_is_refused(folder, verb):
     said = "a.mcap: not a log; a log is an MCAP file, as the recorder writes it"
-    assert refused(folder, f"{verb} a.mcap", 1).startswith(said)
+    assert refused(folder, f"logs {verb} a.mcap", 1).startswith(said)

@@ -188,7 +188,7 @@ def test_a_replay_answers_as_the_command_line_does(client, folder):
     answer = client.post("/api/logs/real.mcap/replay")
     assert answer.status_code == 200
     said = answer.json()
-    command = [sys.executable, "-m", "softarm.cli.main", "replay", str(folder / "real.mcap")]
+    command = [sys.executable, "-m", "softarm.cli.main", "logs", "replay", str(folder / "real.mcap")]
     verb = subprocess.run(command, capture_output=True, text=True, check=False)
     assert said["same"] is (verb.returncode == 0)
     assert (verb.stdout + verb.stderr).startswith("\n".join(said["sentences"]))  # progress follows on a slow machine

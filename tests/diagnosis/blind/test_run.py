@@ -212,13 +212,13 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
 
 
 def test_the_commands_run_and_open_work(data, tmp_path):
-    outcome = invoke("blind", "run", data, "--answers", tmp_path / "a.json", "--processes", 1)
+    outcome = invoke("dev", "blind", "run", data, "--answers", tmp_path / "a.json", "--processes", 1)
     assert outcome.exit_code == 0, outcome.output
     assert "frozen as" in outcome.output
-    opened = ("blind", "open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
+    opened = ("dev", "blind", "open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
     outcome = invoke(*opened, tmp_path / "sealed" / "labels.json")
     assert outcome.exit_code == 0, outcome.output
     assert "single, exact | 100%" in outcome.output
     outcome = invoke(*opened, tmp_path / "none.json")
     assert outcome.exit_code == 1
-    assert "softarm blind make" in outcome.output
+    assert "softarm dev blind make" in outcome.output

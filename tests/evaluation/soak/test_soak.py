@@ -63,7 +63,7 @@ def test_page_and_figures_contain_the_findings(minute):
     reported = page.problems(real, None)
     assert reported[0] == "in real time: memory (MB) grows: 9 per hour (8 to 10), allowed 1"
     assert reported[-1] == "in real time: after 7 s: stopped: <b>for nothing</b> (log: logs/one.mcap)"
-    text = page.html(real, minute, "softarm soak")
+    text = page.html(real, minute, "softarm dev soak")
     assert "&lt;b&gt;for nothing" in text
     assert text.count("<svg") == 2
     figures = json.loads(json.dumps(page.figures(real, minute)))
@@ -74,18 +74,18 @@ def test_page_and_figures_contain_the_findings(minute):
 
 def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     kept = tmp_path / "soak.json"
-    short = ["soak", "--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
+    short = ["dev", "soak", "--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
     assert CliRunner().invoke(main, [*short, "--allow-undecided"]).exit_code == 0
     done = CliRunner().invoke(main, short)
     assert done.exit_code == 1
     assert "too short to decide" in done.output
     assert json.loads(kept.read_text())["real_time"] is None
-    assert CliRunner().invoke(main, ["soak", "--hours", "0"]).exit_code == 2
+    assert CliRunner().invoke(main, ["dev", "soak", "--hours", "0"]).exit_code == 2
 
 
 def test_a_folder_that_holds_logs_is_refused(tmp_path):
     (tmp_path / "old.mcap").write_bytes(b"")
-    done = CliRunner().invoke(main, ["soak", "--logs", str(tmp_path)])
+    done = CliRunner().invoke(main, ["dev", "soak", "--logs", str(tmp_path)])
     assert (done.exit_code, "is not empty" in done.output) == (1, True)
 
 

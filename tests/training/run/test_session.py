@@ -234,11 +234,11 @@ def test_the_commands_train_and_export(tmp_path):
     assert "--resume" in again.output
 
     exported = tmp_path / "copy.onnx"
-    result = invoke("export", out / "best.pt", "--out", exported)
+    result = invoke("dev", "export", out / "best.pt", "--out", exported)
     assert result.exit_code == 0, result.output
     metadata = {p.key: p.value for p in onnx.load(exported).metadata_props}
     assert json.loads(metadata[METADATA_KEY])["seed"] == 5
 
-    result = invoke("export", tmp_path / "missing.pt", "--out", exported)
+    result = invoke("dev", "export", tmp_path / "missing.pt", "--out", exported)
     assert result.exit_code == 1
     assert "no such checkpoint" in result.output

@@ -70,7 +70,7 @@ def _recovered() -> Parser:
 
 @parser("log.replay")
 def _replayed() -> Parser:
-    """Return the parser of `softarm replay`: a log's configuration and every tick of it."""
+    """Return the parser of `softarm logs replay`: a log's configuration and every tick of it."""
     from softarm.daemon.logbook import logs
     from softarm.daemon.runtime.replay import replay
     from softarm.policies.base import PolicyError

@@ -230,7 +230,7 @@ def _replayed(replay: replay_process.Replay, run: Callable[[], Result]) -> Resul
     except replay_process.ReplayError as error:
         raise Refused(422, str(error)) from error
     except TimeoutError as error:
-        raise Refused(504, f"{error}; `softarm replay` on the machine itself has no time limit") from error
+        raise Refused(504, f"{error}; `softarm logs replay` on the machine itself has no time limit") from error
 
 
 def _reports(directory: Path) -> tuple[ReportEntry, ...]:
