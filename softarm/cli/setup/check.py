@@ -1,4 +1,4 @@
-"""`softarm check`: check a configuration and print its limits, or check the stage.yaml of a rig."""
+"""`softarm check`: check a configuration and print its changed values, or check the stage.yaml of a rig."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 @click.option("--logs", "folder", type=FOLDER, help="Also compare the rail limits with these logs of the robot.")
 @click.option("--data", type=FOLDER, help="Folder of the data files of a stage.yaml (default: its own folder).")
 @click.option("--simulated", is_flag=True, help="Check for `softarm run --simulated`, which has no devices.")
+@click.option("--all", "everything", is_flag=True, help="Also print every limit in force, with its source.")
 @print_option
-def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, as_json: bool) -> None:
-    """Check a configuration FILE; print the limits in force and the source of each.
+def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, everything: bool, as_json: bool) -> None:
+    """Check a configuration FILE; print the values that differ from the default.
 
     FILE may be the stage.yaml of another rig: every trial and column is read and checked as in `softarm diagnose`.
 
@@ -34,12 +35,13 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, a
     \b
     Examples:
       softarm check softarm.yaml
+      softarm check softarm.yaml --all
       softarm check softarm.yaml --logs logs
       softarm check softarm.yaml --json
       softarm check stage.yaml --data recordings
     """
     from softarm.common import realtime
-    from softarm.daemon.config.configuration import effective_limits
+    from softarm.daemon.config.configuration import changed, effective_limits
     from softarm.daemon.runtime import preflight
     from softarm.diagnosis.data.stage_file import is_stage
 
@@ -54,8 +56,11 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, a
     problems, loaded = list(found.problems), found.loaded
     limits = [] if loaded is None else effective_limits(loaded)
     if loaded is not None and not (problems or as_json):
-        columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
-        print_table(columns, limits, f"{file}: limits in force", width=140)
+        if rows := changed(loaded):
+            print_table(("key", "value", "unit", "default", "from"), rows, f"{file}: changed values", width=140)
+        if everything:
+            columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
+            print_table(columns, limits, f"{file}: limits in force", width=140)
     if loaded is not None and folder is not None:
         problems += _too_lax(loaded, folder, quiet=as_json)
     if as_json:
@@ -66,7 +71,10 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, a
     if (slow := realtime.refused(found.config.control.realtime_priority)) is not None:
         click.echo(f"warning: control.realtime_priority {found.config.control.realtime_priority}: {slow}", err=True)
     if not as_json:
-        click.echo(f"{file}: valid; starts with policy '{found.config.control.policy}'")
+        click.echo(
+            f"{file}: valid; starts with policy '{found.config.control.policy}'"
+            + ("" if rows else "; all values are the defaults")
+        )
 
 
 def _too_lax(loaded: "Loaded", folder: Path, quiet: bool) -> list[str]:

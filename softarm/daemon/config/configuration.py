@@ -55,8 +55,34 @@ def read(path: Path | str) -> Loaded:
         raise refused from None
 
 
+class ChangedRow(NamedTuple):
+    """One value that differs from its default."""
+
+    key: str
+    value: str
+    unit: str
+    default: str
+    place: str  # line in the file
+
+
+def changed(loaded: Loaded) -> list[ChangedRow]:
+    """Return the values of the file that differ from their defaults."""
+    default, rows = Config(), []
+    for key in leaves(Config):
+        value, usual = (attrgetter(key.name)(config) for config in (loaded.config, default))
+        if value != usual:
+            line = loaded.lines.get(key.path)
+            place = "" if line is None else f"line {line}"
+            rows.append(ChangedRow(key.name, _text(value), key.unit, _text(usual), place))
+    return rows
+
+
+def _text(value: object) -> str:
+    return (", ".join(value) or "none") if isinstance(value, dict) else shown(value)
+
+
 class LimitRow(NamedTuple):
-    """One line of `softarm check`."""
+    """One line of `softarm check --all`."""
 
     key: str
     value: str

@@ -19,20 +19,35 @@ def trial_here(monkeypatch):
 
 @pytest.fixture
 def check(tmp_path, trial_here):
-    def check(text: str):
+    def check(text: str, *options: str):
         path = tmp_path / "arm.yaml"
         path.write_text(text)
-        return path, invoke("check", path)
+        return path, invoke("check", path, *options)
 
     return check
 
 
-def test_a_valid_file_prints_its_limits_and_their_sources(check):
-    path, result = check("limits:\n  rail: {velocity_max_m_s: 0.4}\ncontrol: {policy: hold}\n")
+def test_a_valid_file_prints_only_the_values_that_differ_from_the_default(check):
+    text = "limits:\n  rail: {velocity_max_m_s: 0.4, margin_m: 0.01}\npolicies: {mine: {plugin: pid}}\n"
+    path, result = check(text)
     assert result.exit_code == 0
-    row = next(line for line in result.stdout.splitlines() if "velocity_max_m_s" in line)
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in result.stdout.splitlines() if "│" in line]
+    assert rows == [
+        ["limits.rail.velocity_max_m_s", "0.4", "m/s", "1", "line 2"],
+        ["policies", "mine", "", "none", "line 3"],
+    ]
+    assert result.stdout.endswith(f"{path}: valid; starts with policy 'reach'\n")
+    path, result = check("")
+    assert result.stdout == f"{path}: valid; starts with policy 'reach'; all values are the defaults\n"
+
+
+def test_all_limits_and_their_sources_are_printed_on_request(check):
+    path, result = check("limits:\n  rail: {velocity_max_m_s: 0.4}\ncontrol: {policy: hold}\n", "--all")
+    assert result.exit_code == 0
+    row = [line for line in result.stdout.splitlines() if "velocity_max_m_s" in line][-1]
     assert "0.4" in row
     assert "line 2" in row
+    assert "above 0, at most 1 m/s" in row
     assert "127.0.0.1:8081" in next(line for line in result.stdout.splitlines() if "stop port" in line)
     latch = next(line for line in result.stdout.splitlines() if "latch of the emergency stop" in line)
     assert "logs/stop-169.254.0.1-502.json" in latch
