@@ -53,11 +53,11 @@ def arm(daemon: Remote) -> None:
     """
     leaves("arming was not requested")
     settle(daemon)
-    leaves("the daemon continues to arm; `softarm disarm` reverts that")
+    leaves(f"the daemon continues to arm; {daemon.command('disarm')} reverts that")
     daemon.post("/api/arm")
     status = wait_while(daemon, "arming", "waiting for drive and regulator")
     if status["mode"] != "armed":
-        fail(f"not armed, mode {status['mode']}: {status.get('last_stop') or 'see `softarm status`'}")
+        fail(f"not armed, mode {status['mode']}: {status.get('last_stop') or 'see ' + daemon.command('status')}")
     click.echo("armed")
 
 
@@ -96,7 +96,7 @@ def stop(daemon: Remote, stop_port: int | None) -> None:
     """
     if not daemon.stop(stop_port):
         daemon.post("/api/stop")
-    click.echo("stopped and latched; `softarm acknowledge` releases the latch")
+    click.echo(f"stopped and latched; {daemon.command('acknowledge')} releases the latch")
 
 
 @click.command()

@@ -52,10 +52,11 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
     with contextlib.ExitStack() as both:
+        sil = SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file)
+        click.echo(f"watch it at {sil.url}, which answers in some seconds; policy {policy}")
         with waiting("starting the twin (the simulated robot) and the daemon; the very first start compiles"):
-            sil = both.enter_context(SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file))
+            both.enter_context(sil)
         path = sil.status()["recorder"]["log"]
-        console.print(f"watch it at {sil.url} (API: {sil.url}/docs), policy {policy}")
         sil.arm()
         console.print(f"armed; {targets} targets, each from the position where the last one ended\n")
         results = [_fly(console, sil, number, goal) for number, goal in enumerate(goals, 1)]
@@ -81,6 +82,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     if problems:
         sys.exit(1)
     console.print(f"[green]{reached} of {targets} reached, no limit exceeded[/green]")
+    click.echo(f"next: `softarm run --simulated --open` flies where you click; `softarm logs view {path}` plays it")
 
 
 def _fly(console: "Console", sil: "SoftwareInTheLoop", number: int, goal: Goal) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def follow(
         else:
             click.echo(doing)
         return
-    leaves("the daemon continues with the goal; `softarm goal cancel` ends it")
+    leaves(f"the daemon continues with the goal; {daemon.command('goal cancel')} ends it")
     with waiting(doing):
         ended = _end(daemon, answer["goal"]["number"], seconds)
     if as_json:
@@ -58,5 +58,5 @@ def _end(daemon: Remote, number: int, seconds: float | None) -> dict[str, Any]:
             over_s = None
         time.sleep(POLL_S)
     if now["number"] != number:
-        fail("another goal has replaced this one: see `softarm status`")
+        fail(f"another goal has replaced this one: see {daemon.command('status')}")
     return dict(now)

@@ -53,7 +53,7 @@ def list_(daemon: Remote, config_file: Path | None, as_json: bool) -> None:
     width = max((len(entry["name"]) for entry in answer["policies"]), default=0)
     for entry in answer["policies"]:
         mark = "*" if entry["name"] == answer["active"] else " "
-        target = "  (needs no target: `softarm goal run`)" if entry["needs_target"] is False else ""
+        target = f"  (needs no target: {daemon.command('goal run')})" if entry["needs_target"] is False else ""
         click.echo(f"{mark} {entry['name']:<{width}}  {entry['description']}{target}")
 
 

@@ -1,19 +1,21 @@
 """`softarm run`: run the daemon on the robot or on a robot simulated in this process."""
 
 import signal
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.client import DEFAULT_URL, url_of
+from softarm.cli.shared.browser import open_page
+from softarm.cli.shared.client import options_for, url_of
 from softarm.cli.shared.interrupt import leaves, left_now
 from softarm.cli.shared.options import config_option, flown_model, model_option, prepared
 
 if TYPE_CHECKING:
     from softarm.daemon.assembly import Daemon
     from softarm.daemon.foxglove.publisher import FoxglovePublisher
-    from softarm.schemas.config import Config
+    from softarm.schemas.config import Api, Config
 
 
 @click.command()
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 @click.option("--simulated", is_flag=True, help="Use a robot simulated in this process instead of real devices.")
 @model_option
 @click.option("--port", type=click.IntRange(0, 65535), help="Port of the API instead of api.port; 0: any free one.")
+@click.option("--open", "to_open", is_flag=True, help="Open the dashboard in the browser when it answers.")
 @click.option(
     "--foxglove",
     metavar="[[HOST:]PORT]",
@@ -29,7 +32,12 @@ if TYPE_CHECKING:
     help="Serve live data to Foxglove, view only; on this computer only unless HOST is given.  [8765]",
 )
 def run(
-    config_file: Path | None, simulated: bool, model_file: Path | None, port: int | None, foxglove: str | None
+    config_file: Path | None,
+    simulated: bool,
+    model_file: Path | None,
+    port: int | None,
+    to_open: bool,
+    foxglove: str | None,
 ) -> None:
     """Run the control daemon until Ctrl-C or SIGTERM.
 
@@ -38,7 +46,7 @@ def run(
     \b
     Examples:
       softarm run --config softarm.yaml        on the robot
-      softarm run --simulated                  without hardware
+      softarm run --simulated --open           without hardware, with the dashboard in the browser
       softarm run --simulated --foxglove       also live in Foxglove, at ws://127.0.0.1:8765
       softarm run --config twin.yaml           on the twin started by `softarm twin --config twin.yaml`
     """
@@ -57,7 +65,7 @@ def run(
     config = prepared(config_file, wires=not simulated, port=port)
     publisher = None if foxglove is None else _publisher(config, foxglove)
     devices = simulated_devices(flown_model(model_file)) if simulated else real_devices(config)
-    ended = assembly.run(config, devices, announce, foxglove=publisher)
+    ended = assembly.run(config, devices, partial(announce, to_open=to_open), foxglove=publisher)
     if ended == signal.SIGINT:
         raise KeyboardInterrupt
     click.echo(f"ended: {left_now()}", err=True)
@@ -67,7 +75,8 @@ def _left(running: "Daemon") -> str:
     """Return the text on the state that an ended daemon leaves."""
     last = running.loop.snapshot
     latched = last is not None and last.estop != "clear" and running.latch is not None
-    stop = "; the emergency stop stays latched until `softarm acknowledge` after the next start" if latched else ""
+    acknowledge = f"`softarm acknowledge{options_for(_answering(running))}`"
+    stop = f"; the emergency stop stays latched until {acknowledge} after the next start" if latched else ""
     log = running.recorder.path
     return f"the drive is off, the muscle vented{stop}" + (f"; {log} is closed" if log else "")
 
@@ -82,14 +91,14 @@ def _publisher(config: "Config", address: str) -> "FoxglovePublisher":
     return FoxglovePublisher(config, host.strip("[]") or "127.0.0.1", int(port))
 
 
-def announce(running: "Daemon") -> None:
-    """Print the daemon's address, its state and the next commands."""
+def announce(running: "Daemon", to_open: bool = False) -> None:
+    """Print the daemon's address, its state and the next commands, and open its page if asked."""
     from softarm.daemon.stop.terminal import is_offered
 
     leaves(lambda: _left(running))
     log = running.recorder.path
     left = None if running.latch is None else running.latch.left
-    address = _address_option(running)
+    address = options_for(_answering(running))
     state = "disarmed"
     if left is not None:
         state = f"stopped since its last run ({left}): `softarm acknowledge{address}`"
@@ -100,9 +109,10 @@ def announce(running: "Daemon") -> None:
     key = "; space or s here is an emergency stop" if is_offered() else ""
     click.echo(f"softarm: stop: `softarm stop{address}`, or POST {running.stop_url}{key}")
     click.echo(f"softarm: next: `softarm arm{address}`, then `softarm goal reach -0.2 0.6{address}`; Ctrl-C ends")
+    if to_open:
+        open_page(url_of(_answering(running)))
 
 
-def _address_option(running: "Daemon") -> str:
-    """Return the --url option that other verbs need to find this daemon; empty at the default address."""
-    url = url_of(running.config.api.model_copy(update={"port": running.port}))
-    return "" if url == DEFAULT_URL else f" --url {url}"
+def _answering(running: "Daemon") -> "Api":
+    """Return the API's settings with the port in use."""
+    return running.config.api.model_copy(update={"port": running.port})

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from softarm.cli.shared.client import Remote, url_of
+from softarm.cli.shared.client import Remote, options_for, url_of
 from softarm.cli.shared.errors import fail
+from softarm.cli.shared.options import given
 
 if TYPE_CHECKING:
     from softarm.drivers.rail.commissioning.centre import Sample
@@ -58,7 +59,7 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
     from softarm.daemon.doctor import running
 
     url = named or url_of(config.api)
-    with Remote(url, token) as daemon:
+    with Remote(url, token, options_for(config.api) if named is None else given("url", "token_file")) as daemon:
         try:
             found = running.look(url, token, samples=1)
         except ValueError as error:
@@ -97,7 +98,7 @@ def _of_daemon(daemon: Remote, rail: "DryveRail") -> "Sample | None":
 
     status = daemon.get("/api/status")
     if status["mode"] not in AT_REST:
-        fail(f"the arm is {status['mode']}: `softarm disarm` first; the cart is pushed by hand, with the drive off")
+        fail(f"the arm is {status['mode']}: {daemon.command('disarm')} first; the cart is pushed by hand, drive off")
     if any(event["name"] == "rail_not_homed" for event in status["events"]):
         fail("the drive is not homed, so its middle is meaningless: end the daemon, then `softarm rail home`")
     if (position_m := status["rail_position_m"]) is None:

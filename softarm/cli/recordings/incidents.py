@@ -70,8 +70,8 @@ def _fetch(daemon: Remote, folder: Path | None, found: Json, name: str, out: Pat
         name = names[0]
     if name not in names:
         hint = did_you_mean(name, names)
-        fail(f"no incident file '{name}' in {found['directory']}; {hint}`softarm incidents` lists them")
+        fail(f"no incident file '{name}' in {found['directory']}; {hint}{daemon.command('incidents')} lists them")
     content = files.content(folder, name) if folder is not None else daemon.download(f"/api/incidents/{name}")
     if content is None:
-        fail(f"{name}: no longer exists; `softarm incidents` lists the files")
+        fail(f"{name}: no longer exists; {daemon.command('incidents')} lists the files")
     write_bytes(out or Path(name), content)

@@ -1,6 +1,7 @@
 """Client of the daemon's REST API, for the verbs."""
 
 import functools
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -10,7 +11,7 @@ import httpx
 
 from softarm.cli.shared.errors import Unreachable, fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import token_of, token_option
+from softarm.cli.shared.options import given, token_of, token_option
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -26,11 +27,19 @@ def url_of(api: "Api") -> str:
     return f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
 
 
+def options_for(api: "Api") -> str:
+    """Return the options that other verbs need for a daemon of this configuration; empty with the default values."""
+    url, token = url_of(api), api.token_file
+    address = "" if url == DEFAULT_URL else f" --url {url}"
+    return address + ("" if token is None else f" --token-file {shlex.quote(str(token))}")
+
+
 class Remote:
     """A daemon at a URL. Every call that fails ends the command with a sentence."""
 
-    def __init__(self, url: str, token: str | None = None) -> None:
-        self.url = url.rstrip("/")
+    def __init__(self, url: str, token: str | None = None, options: str = "") -> None:
+        """Prepare requests; `options` are what another verb needs to find the same daemon."""
+        self.url, self._options = url.rstrip("/"), options
         headers = {API_HEADER: str(API_VERSION)} | ({"Authorization": f"Bearer {token}"} if token else {})
         try:
             # No proxy from the environment: a robot is on this machine or on its own network.
@@ -43,6 +52,10 @@ class Remote:
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
+
+    def command(self, text: str) -> str:
+        """Return a command for the same daemon in backquotes, such as `softarm goal cancel --url http://10.0.0.2`."""
+        return f"`softarm {text}{self._options}`"
 
     def get(self, path: str) -> Any:
         """Return the resource at a path, parsed from JSON."""
@@ -124,7 +137,7 @@ def remote(function: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(function)
     def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
         leaves("the daemon keeps running")
-        with Remote(url, token_of(token_file)) as daemon:
+        with Remote(url, token_of(token_file), given("url", "token_file")) as daemon:
             function(daemon, *args, **kwargs)
 
     return command

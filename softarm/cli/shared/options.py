@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,17 @@ def typed() -> list[str]:
         for each, source in parameters
         if source is ParameterSource.COMMANDLINE
     ]
+
+
+def given(*names: str) -> str:
+    """Return options of the running verb that were typed, as text for another command; empty if none was."""
+    context = click.get_current_context()
+    options = ((each.opts[0], each.name or "") for each in context.command.params if each.name in names)
+    return "".join(
+        f" {option} {shlex.quote(str(context.params[name]))}"
+        for option, name in options
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    )
 
 
 def load_config(file: Path | None) -> "Config":

@@ -19,8 +19,11 @@ def demo(logs, *arguments) -> Result:
 def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     result = demo(tmp_path)
     assert result.exit_code == 0, result.output
+    first, *_, last = result.stdout.splitlines()
+    assert first.startswith("watch it at http://127.0.0.1:")
     assert "1 of 1 reached, no limit exceeded" in result.output
-    assert len(list(tmp_path.glob("*.mcap"))) == 1
+    (log,) = tmp_path.glob("*.mcap")
+    assert last == f"next: `softarm run --simulated --open` flies where you click; `softarm logs view {log}` plays it"
 
 
 @pytest.mark.prove
@@ -39,4 +42,5 @@ def test_the_error_of_a_child_process_is_printed(monkeypatch, tmp_path):
     monkeypatch.setattr(SoftwareInTheLoop, "__enter__", without_an_extra)
     done = invoke("demo", "--logs", tmp_path)
     assert done.exit_code == 1
+    assert done.stdout.startswith("watch it at http://127.0.0.1:")  # before anything starts
     assert "pip install 'softarm[sim]'" in done.output

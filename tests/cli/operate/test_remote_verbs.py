@@ -437,3 +437,13 @@ def test_a_newer_api_is_refused_except_for_a_stop(softarm, daemon, make_status):
     assert daemon.headers["softarm-api"] == "1"
     daemon.on("POST", "/api/stop", make_status())
     assert softarm("stop").exit_code == 0
+
+
+def test_the_next_command_has_the_address_and_the_token_that_were_typed(daemon, make_status, tmp_path):
+    token = tmp_path / "a token"
+    token.write_text("secret")
+    daemon.on("POST", "/api/stop", make_status())
+    result = invoke("stop", "--url", daemon.url, "--token-file", token, "--stop-port", 1)
+    assert result.stdout == (
+        f"stopped and latched; `softarm acknowledge --url {daemon.url} --token-file '{token}'` releases the latch\n"
+    )

@@ -55,20 +55,47 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     assert logs.read(recording).finished
 
 
-@pytest.mark.parametrize("port", [0, 8080, None])
-def test_the_next_commands_name_a_port_that_is_not_the_default(tmp_path, monkeypatch, port):
+@pytest.fixture
+def started(monkeypatch):
+    """Replace the run of the daemon by its announcement, on port 9123 if any port will do."""
+
     def run(config, devices, announce, **_):
         announce(Daemon(config, devices))
 
     monkeypatch.setattr("softarm.daemon.assembly.run", run)
     monkeypatch.setattr("softarm.daemon.runtime.preflight.sockets.try_out", lambda *_: None)
     monkeypatch.setattr(Daemon, "port", property(lambda self: self.config.api.port or 9123, lambda *_: None), False)
+
+
+@pytest.mark.usefixtures("started")
+@pytest.mark.parametrize("port", [0, 8080, None])
+def test_the_next_commands_name_a_port_that_is_not_the_default(tmp_path, port):
     config = write(tmp_path / "c.yaml", f"api: {{port: 9300, stop_port: 1}}\nrecorder: {{directory: {tmp_path}}}\n")
     option = () if port is None else ("--port", str(port))
     output = invoke("run", "--simulated", "--config", config, *option).output
     address = {0: " --url http://127.0.0.1:9123", 8080: "", None: " --url http://127.0.0.1:9300"}[port]
     assert f"next: `softarm arm{address}`, then `softarm goal reach -0.2 0.6{address}`" in output
     assert f"stop: `softarm stop{address}`" in output
+
+
+@pytest.mark.usefixtures("started")
+def test_the_next_commands_name_the_token_of_the_daemon(tmp_path):
+    token = write(tmp_path / "a token", "0123456789abcdef")
+    token.chmod(0o600)
+    config = write(tmp_path / "c.yaml", f"api: {{token_file: {token}}}\nrecorder: {{directory: {tmp_path}}}\n")
+    output = invoke("run", "--simulated", "--config", config).output
+    assert f"next: `softarm arm --token-file '{token}'`, then" in output
+
+
+@pytest.mark.usefixtures("started")
+def test_the_dashboard_is_opened_on_request_at_an_address_of_this_computer(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr("softarm.cli.operate.run.open_page", opened.append)
+    config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
+    invoke("run", "--simulated", "--config", config)
+    assert opened == []
+    invoke("run", "--simulated", "--config", config, "--open")
+    assert opened == ["http://127.0.0.1:9123"]
 
 
 @pytest.mark.parametrize("verb", [["run", "--config"], ["check"], ["excite", "seed", "--config"]])

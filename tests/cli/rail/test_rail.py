@@ -278,7 +278,7 @@ def test_with_a_daemon_centre_also_compares_motion_capture(bench: Bench, asked: 
 @pytest.mark.parametrize(
     ("seen", "message"),
     [
-        (Seen(mode=Mode.ARMED), "the arm is armed: `softarm disarm` first"),
+        (Seen(mode=Mode.ARMED), "the arm is armed: `softarm disarm --url http://127.0.0.1:"),
         (Seen(events=(ActiveEvent("rail_not_homed", "soft_stop", "no"),)), "`softarm rail home`"),
         (Seen(uptime_s=1e6), "has changed since the daemon started"),
         (Seen(ages_ms=Ages(500.0, 8.0, 8.0), rail_position_m=0.1), "push the cart slowly from end to end"),
