@@ -54,10 +54,10 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, e
     with waiting("checking the configuration and its policies"):
         found = preflight.look(file, wires=not simulated, thorough=True)
     problems, loaded = list(found.problems), found.loaded
-    limits = [] if loaded is None else effective_limits(loaded)
+    limits, differing = ([], []) if loaded is None else (effective_limits(loaded), changed(loaded))
     if loaded is not None and not (problems or as_json):
-        if rows := changed(loaded):
-            print_table(("key", "value", "unit", "default", "from"), rows, f"{file}: changed values", width=140)
+        if differing:
+            print_table(("key", "value", "unit", "default", "from"), differing, f"{file}: changed values", width=140)
         if everything:
             columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
             print_table(columns, limits, f"{file}: limits in force", width=140)
@@ -71,10 +71,8 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, e
     if (slow := realtime.refused(found.config.control.realtime_priority)) is not None:
         click.echo(f"warning: control.realtime_priority {found.config.control.realtime_priority}: {slow}", err=True)
     if not as_json:
-        click.echo(
-            f"{file}: valid; starts with policy '{found.config.control.policy}'"
-            + ("" if rows else "; all values are the defaults")
-        )
+        unchanged = "" if differing else "; all values are the defaults"
+        click.echo(f"{file}: valid; starts with policy '{found.config.control.policy}'{unchanged}")
 
 
 def _too_lax(loaded: "Loaded", folder: Path, quiet: bool) -> list[str]:
