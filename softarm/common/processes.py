@@ -130,25 +130,32 @@ class _Lines:
         """Print the first line in time even if the work does not report progress."""
         return later(FIRST_LINE_S, lambda: self.update(*self._newest))
 
-    def update(self, text: str, share: float | None) -> None:
-        """Print a line if one is due; `share` is the completed share of the work, None if unknown."""
+    def update(self, text: str, share: float | None, begun: float = 0.0) -> None:
+        """Print a line if one is due.
+
+        Args:
+            text: Current work.
+            share: Completed share of the work; None if unknown.
+            begun: Completed share when the bar began.
+        """
         with self._lock:
             self._newest = text, share
             now_s = self._clock()
             if now_s < self._due_s:
                 return
             self._due_s = now_s + LINE_S
-        if not share:
+        if not share or share <= begun:
             self._write(f"{text} ...")
             return
-        self._write(f"{text} ({100 * share:.0f} %, about {left_s(now_s - self._begun_s, share):.0f} s left)")
+        remaining_s = left_s(now_s - self._begun_s, (share - begun) / (1.0 - begun))
+        self._write(f"{text} ({100 * share:.0f} %, about {remaining_s:.0f} s left)")
 
 
 class Bar:
     """Progress of a piece of work."""
 
-    def __init__(self, progress: "Progress", task: "TaskID", lines: "_Lines | None" = None) -> None:
-        self._progress, self._task, self._lines = progress, task, lines
+    def __init__(self, progress: "Progress", task: "TaskID", begun: float, lines: "_Lines | None" = None) -> None:
+        self._progress, self._task, self._begun, self._lines = progress, task, begun, lines
 
     def advance(self, by: float = 1, text: str | None = None) -> None:
         """Advance the bar; `text` names the current work."""
@@ -163,7 +170,8 @@ class Bar:
     def _print(self) -> None:
         if self._lines is not None:
             task = self._progress.tasks[0]
-            self._lines.update(task.description, task.completed / task.total if task.total else None)
+            share, begun = (task.completed / task.total, self._begun / task.total) if task.total else (None, 0.0)
+            self._lines.update(task.description, share, begun)
 
     def report(self, text: str, share: float) -> None:
         """Show the current work and its share of a total of 1.0, as a callback of long work."""
@@ -208,7 +216,7 @@ def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = F
     columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), Remaining())
     with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
         lines = _Lines(partial(print, file=sys.stderr, flush=True), time.monotonic)
-        shown = Bar(progress, progress.add_task(text, total=total), lines if progress.disable else None)
+        shown = Bar(progress, progress.add_task(text, total=total), done, lines if progress.disable else None)
         shown.advance(done)
         with lines.first_line() if progress.disable else nullcontext():
             yield shown

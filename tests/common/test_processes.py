@@ -147,6 +147,12 @@ def test_a_bar_without_a_terminal_prints_lines_with_the_remaining_time():
     assert said == ["flying ...", "flying (25 %, about 36 s left)", "flying (75 %, about 10 s left)"]
 
 
+def test_the_remaining_time_of_resumed_work_counts_from_where_it_resumed():
+    said, clock = [], iter([0.0, 10.0])
+    _Lines(said.append, lambda: next(clock)).update("training", 0.7, begun=0.6)
+    assert said == ["training (70 %, about 30 s left)"]
+
+
 def test_long_work_without_reports_prints_one_line_without_a_terminal(capsys, monkeypatch):
     monkeypatch.setattr(processes, "FIRST_LINE_S", 0.05)
     with bar("flying") as shown:

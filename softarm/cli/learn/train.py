@@ -6,9 +6,11 @@ import click
 
 from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER, model_option, typed
+from softarm.cli.shared.options import FILE, FOLDER, given, model_option, typed
 from softarm.cli.shared.printing import waiting
 from softarm.common.processes import bar, cores
+
+SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluated
 
 
 @click.command()
@@ -82,12 +84,16 @@ def train(
         if missing := tensorboard.missing():
             click.secho(missing, fg="yellow")
         end = frames or (None if minutes else recipe.frames)
-        with bar("starting", float(end or 0) if minutes is None else 60 * minutes, stay=True) as shown:
-            policy = session.run(
-                end,
-                minutes,
-                lambda: shown.show(session.seconds if minutes else session.frames, text=session.sentence),
+        with bar("starting", done=session.finished(end, minutes), stay=True) as shown:
+            policy = session.run(end, minutes, lambda: shown.report(session.sentence, session.finished(end, minutes)))
+        if session.frames < SHORT * recipe.frames:
+            same = given("seed", "robots", "device", "model_file", "out")
+            click.echo(
+                f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {policy}: "
+                f"too short to matter, so not evaluated; the least are {SHORT * recipe.frames / 1e6:.2f} M frames"
             )
+            click.echo(f"next: `softarm train {task}{same} --resume` continues to the recipe's end")
+            return
         for line in ending(session, policy):
             click.echo(line)
 

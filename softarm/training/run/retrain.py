@@ -126,8 +126,8 @@ def retrain(
 
         def report() -> None:
             best = "" if session.best is None else f", validation {session.best:.1%}"
-            share = max(session.frames / config.frames, session.seconds / config.seconds)
-            on_progress(f"retraining, {session.frames / 1e6:.2f} M frames{best}", min(1.0, share))
+            share = session.finished(config.frames, config.seconds / 60.0)
+            on_progress(f"retraining, {session.frames / 1e6:.2f} M frames{best}", share)
 
         # The time of validation and critic counts.
         session.seconds = time.monotonic() - started

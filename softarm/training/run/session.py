@@ -112,6 +112,10 @@ class Session:
         """Best validation success so far, as a share; None before the first validation."""
         return max(curve.validated(self.curve), default=None)
 
+    def finished(self, frames: int | None, minutes: float | None) -> float:
+        """Return the finished share of a run to these bounds, 0 to 1."""
+        return curve.finished(self.curve, self.seconds, frames, None if minutes is None else 60.0 * minutes)
+
     def run(self, frames: int | None, minutes: float | None, on_progress: Callable[[], None] = lambda: None) -> Path:
         """Train until a bound or the patience is reached, and return the path of the exported policy.
 

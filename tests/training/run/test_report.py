@@ -18,7 +18,7 @@ from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import path_figure, tensorboard
 from softarm.training.record.settings import TrainingConfig
-from softarm.training.run import report, warm_start
+from softarm.training.run import recipe, report, warm_start
 from softarm.training.run.session import Session
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
@@ -56,6 +56,7 @@ def flown_at_shelf(run, pool):
 def test_training_without_tensorboard_continues_with_one_message(tmp_path, monkeypatch):
     monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
     monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
+    monkeypatch.setitem(recipe.RECIPES, "reach", recipe.Recipe(frames=FRAMES))
     arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
     result = CliRunner().invoke(train, arguments)
     assert result.exit_code == 0, result.output
@@ -65,6 +66,20 @@ def test_training_without_tensorboard_continues_with_one_message(tmp_path, monke
     assert "report.html" in result.output
     assert (tmp_path / "report.html").is_file()
     assert (tmp_path / "reach.onnx").is_file()
+
+
+@pytest.mark.usefixtures("plain_pictures", "short_validation")
+def test_a_training_that_is_too_short_says_so_and_is_not_evaluated(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "fly_test_trials", lambda session: pytest.fail("evaluated"))
+    arguments = ["reach", "--robots", "16", "--minutes", "0.0001", "--out", str(tmp_path)]
+    result = CliRunner().invoke(train, arguments)
+    assert result.exit_code == 0, result.output
+    *_, short, following = result.stdout.splitlines()
+    assert short.startswith("0.00 M frames in 0.0 min")
+    assert short.endswith("reach.onnx: too short to matter, so not evaluated; the least are 0.50 M frames")
+    again = f"`softarm train reach --robots 16 --out {tmp_path} --resume`"
+    assert following == f"next: {again} continues to the recipe's end"
+    assert not (tmp_path / "report.html").exists()
 
 
 @pytest.mark.usefixtures("plain_pictures")

@@ -22,6 +22,7 @@ from softarm.training.record import checkpoint, tensorboard
 from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.record.export import export_checkpoint, onnx_model
 from softarm.training.record.settings import TrainingConfig
+from softarm.training.run import recipe
 from softarm.training.run.session import Session, averaged_share
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
@@ -219,7 +220,8 @@ def test_the_validation_set_contains_no_test_target():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
-def test_the_commands_train_and_export(tmp_path):
+def test_the_commands_train_and_export(tmp_path, monkeypatch):
+    monkeypatch.setitem(recipe.RECIPES, "reach", recipe.Recipe(frames=256))
     out = tmp_path / "run"
     arguments = ["train", "reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
     result = invoke(*arguments)
