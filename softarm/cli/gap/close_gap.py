@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from softarm.evaluation.closing.steps import Spent
 
 REALITY = "reality"
+TENTH = 10  # --quick: one of so many test targets and goals
 KEEP_THE_OLD = 3  # exit code: finished, and the old policy is the better one
 
 
@@ -32,9 +33,8 @@ KEEP_THE_OLD = 3  # exit code: finished, and the old policy is the better one
 @click.option("--config", "config_file", type=FILE, help="Configuration to fly with, also on its real interfaces.")
 @click.option("--twin", is_flag=True, help="With --config: fly on the twin of --robot instead of real devices.")
 @click.option("--yes", is_flag=True, help="With --config: move the robot without asking.")
-@click.option(
-    "--goals", default=GOALS, show_default=True, type=click.IntRange(1, 1000), help="Per start, on the wires."
-)
+@click.option("--goals", type=click.IntRange(1, 1000), help=f"Per start, on the wires.  [default: {GOALS}]")
+@click.option("--quick", is_flag=True, help="Fly a tenth of the flights; all intervals are about three times as wide.")
 @click.option("--mppi/--no-mppi", default=True, help="Also fly mppi on the patched model; it needs no training.")
 @click.option("--seconds", type=click.FloatRange(1, 86400), help="Longest retraining.  [default: 120]")
 def close_gap(
@@ -47,7 +47,8 @@ def close_gap(
     config_file: Path | None,
     twin: bool,
     yes: bool,
-    goals: int,
+    goals: int | None,
+    quick: bool,
     mppi: bool,
     seconds: float | None,
 ) -> None:
@@ -65,6 +66,7 @@ def close_gap(
     \b
     Examples:
       softarm close-gap campaign --out closed
+      softarm close-gap campaign --out closed --quick
       softarm close-gap campaign --out closed --fault regulator.dead_time_s=0.06 --fault arm.payload_kg=0.03
       softarm close-gap campaign --out closed --robot other-robot.yaml --config softarm.yaml --twin
     """
@@ -79,6 +81,8 @@ def close_gap(
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: omit --robot, or add the effect to its model")
     check_wires(config_file, twin, yes)
+    every = TENTH if quick else 1
+    goals = goals or -(-GOALS // every)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     spent = steps.Spent()
     with failing(ValueError, RuntimeError), writing("choose another --out"):
@@ -96,7 +100,7 @@ def close_gap(
             warn(f"{', '.join(clock)}: used in training, not in flights, which run the real control loop")
         own = bool(faults) or robot != REALITY
         through = partial(through_wires, Bench(config_file, twin, robot, own, yes, goals, out, spent))
-        closed = steps.close(found, rail, file, out, held_out, own, recipe, spent, replanned=mppi, through=through)
+        closed = steps.close(found, rail, file, out, held_out, own, recipe, spent, mppi, every, through)
     _show(closed, spent, out)
     if advise(closed).fly == "old":
         raise SystemExit(KEEP_THE_OLD)

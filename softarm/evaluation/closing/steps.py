@@ -46,6 +46,7 @@ def close(
     config: RetrainingConfig,
     spent: Spent,
     replanned: bool = True,
+    every: int = 1,
     through: Callable[[Closed], Wires | None] = lambda closed: None,
 ) -> Closed:
     """Patch the nominal simulator, retrain the policy in it, fly old and new, and write all results to `out`.
@@ -60,6 +61,7 @@ def close(
         is_the_robot: The held-out robot was declared to be the campaign's. Its success is the verdict's success_real.
         spent: Receives the time of each step.
         replanned: Also fly `mppi` on the patched model.
+        every: Fly only each so many-th of the test targets.
         through: Flies the same policies on wires, or returns None.
 
     Raises:
@@ -88,9 +90,10 @@ def close(
     places.append(held_out)
     robots = {place.key: place.robot for place in places}
     pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
+    targets = TEST_TARGETS[::every]
     with timed(spent, "fly"), bar("flying") as shown:
-        flown = fly_all(policies, robots, pairs, TEST_TARGETS, rail.patched, shown.report)
-    closed = Closed(found, policy, tuple(places), flown, retrained, TEST_TARGETS, rail, is_the_robot).with_task()
+        flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.report)
+    closed = Closed(found, policy, tuple(places), flown, retrained, targets, rail, is_the_robot).with_task()
     # Before the robot moves, so that the results survive an interrupted flight.
     _write(closed, out, spent)
     if (wires := through(closed)) is not None:

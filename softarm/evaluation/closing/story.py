@@ -20,7 +20,7 @@ from softarm.evaluation.closing.wires import Wires
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, el, join, prose, shaded, table
 from softarm.reporting.numbers import number, percent
-from softarm.schemas.flights import CART_STARTS_M
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS
 from softarm.training.run.retrain import Retrained
 
 
@@ -29,7 +29,8 @@ def sections(closed: Closed) -> list[tuple[str, str]]:
     if closed.retrained is None:
         verdict = closed.diagnosis.verdict.verdict
         why = f"The verdict is {verdict}: no effect was named, so nothing was patched or retrained."
-        return [("The policy", join([el("p", why), _shares(closed)])), ("Rail limits", _limits(closed))]
+        texts = (el("p", prose(text)) for text in (why, *_widened(closed)))
+        return [("The policy", join([*texts, _shares(closed)])), ("Rail limits", _limits(closed))]
     through = [] if closed.wires is None else [("Flights on wires", _through(closed.wires))]
     return [
         ("The policy before and after", _before_and_after(closed)),
@@ -42,7 +43,7 @@ def sections(closed: Closed) -> list[tuple[str, str]]:
 def sentences(closed: Closed) -> list[str]:
     """Return the result for the terminal: the recommended policy, the reasons, flights on wires, and mppi."""
     moved = [] if closed.wires is None else sentences_of(closed.wires)
-    return [*_recommendation(closed), *moved, *_replanning(closed)]
+    return [*_recommendation(closed), *moved, *_replanning(closed), *_widened(closed)]
 
 
 def _recommendation(closed: Closed) -> list[str]:
@@ -116,6 +117,15 @@ def _replanning(closed: Closed) -> list[str]:
     ]
 
 
+def _widened(closed: Closed) -> list[str]:
+    """State that fewer targets than the paper's were flown, and the effect on the intervals."""
+    part, whole = len(closed.targets), len(TEST_TARGETS)
+    if part >= whole:
+        return []
+    wider = number((whole / part) ** 0.5, 2)
+    return [f"Only {part} of the paper's {whole} targets were flown, so all intervals are about {wider} times as wide."]
+
+
 def sentences_of(wires: Wires) -> list[str]:
     """State the success on wires and why flights ended early."""
     if wires.log is None and not wires.flights:
@@ -153,12 +163,13 @@ def _through(wires: Wires) -> Html:
 
 
 def _before_and_after(closed: Closed) -> Html:
-    parts = [el("p", prose(text)) for text in (*_recommendation(closed), *_replanning(closed))] + [_shares(closed)]
+    texts = (*_recommendation(closed), *_replanning(closed), *_widened(closed))
+    parts = [*(el("p", prose(text)) for text in texts), _shares(closed)]
     for key in (HELD_OUT, PATCHED):
         parts.append(el("div", *(_map(closed, name, key) for name in closed.policies), class_="multiples maps"))
     targets = len(closed.targets)
     note = (
-        f"The paper's {targets} targets from {closed.flights // targets} cart positions at rest, and as often in "
+        f"{targets} targets of the paper from {closed.flights // targets} cart positions at rest, and as often in "
         "chains: the first goal of a chain starts with a swinging arm, each later one where the previous flight ended. "
         "The real control loop flies every goal; an unrequested stop is a failure. Differences are paired by goal, "
         "with a 95 % bootstrap interval over targets and chains. The disc in a ring = share of flights from rest "

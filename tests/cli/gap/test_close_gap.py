@@ -38,6 +38,18 @@ def test_the_result_shows_success_rates_and_the_written_files(campaign, tmp_path
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["spent"].keys() == {"diagnose", "fly"}
 
 
+def test_quick_flies_a_tenth_and_says_that_the_intervals_are_wider(campaign, tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "TEST_TARGETS", (EASY, *[NEVER] * 10))
+    monkeypatch.setattr(fly, "cores", lambda: 1)
+    arguments = ("--out", tmp_path / "out", "--policy", "reach", "--robot", "no-delay", "--quick")
+    outcome = invoke("close-gap", campaign, *arguments)
+    assert outcome.exit_code == 3, outcome.output
+    said = " ".join(outcome.stdout.split())
+    assert "50 %" in said  # of two targets
+    assert "Only 2 of the paper's 54 targets were flown, so all intervals are about 5.2 times as wide." in said
+    assert "so all intervals are about 5.2 times as wide" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_existing_results_are_not_overwritten(campaign, tmp_path):
     (tmp_path / "summary.json").write_text("{}")
     outcome = invoke("close-gap", campaign, "--out", tmp_path)
