@@ -82,7 +82,8 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     if problems:
         sys.exit(1)
     console.print(f"[green]{reached} of {targets} reached, no limit exceeded[/green]")
-    click.echo(f"next: `softarm run --simulated --open` flies where you click; `softarm logs view {path}` plays it")
+    click.echo("next: `softarm run --simulated --open` flies to where you click")
+    click.echo(f"or:   `softarm logs view {path}` plays this flight")
 
 
 def _fly(console: "Console", sil: "SoftwareInTheLoop", number: int, goal: Goal) -> dict[str, Any]:

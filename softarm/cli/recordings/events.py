@@ -35,7 +35,8 @@ def events(context: click.Context, daemon: Remote, limit: int, follow: bool, as_
       softarm events --limit 1000 --json
     """
     if context.args:
-        raise click.UsageError("`softarm events LOG` is now `softarm logs show LOG`")
+        click.echo("Error: `softarm events LOG` is now `softarm logs show LOG`", err=True)
+        context.exit(2)
     for event in _live(daemon, limit, follow):
         show_event(event, as_json)
 

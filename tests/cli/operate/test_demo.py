@@ -19,11 +19,12 @@ def demo(logs, *arguments) -> Result:
 def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     result = demo(tmp_path)
     assert result.exit_code == 0, result.output
-    first, *_, last = result.stdout.splitlines()
+    first, *_, following, other = result.stdout.splitlines()
     assert first.startswith("watch it at http://127.0.0.1:")
     assert "1 of 1 reached, no limit exceeded" in result.output
     (log,) = tmp_path.glob("*.mcap")
-    assert last == f"next: `softarm run --simulated --open` flies where you click; `softarm logs view {log}` plays it"
+    assert following == "next: `softarm run --simulated --open` flies to where you click"
+    assert other == f"or:   `softarm logs view {log}` plays this flight"
 
 
 @pytest.mark.prove

@@ -61,4 +61,4 @@ def test_a_recording_shows_its_end_its_policies_and_its_events(softarm, tmp_path
 def test_the_events_of_a_log_are_found_below_logs(softarm):
     result = softarm("events", "a.mcap")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "Error: `softarm events LOG` is now `softarm logs show LOG`\n" in result.stderr
+    assert result.stderr == "Error: `softarm events LOG` is now `softarm logs show LOG`\n"
