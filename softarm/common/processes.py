@@ -96,6 +96,31 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
+class WorkClock:
+    """Clock of progress bars, s, without the time of compiling, which says nothing about the speed of the work."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._left_out_s = clock, 0.0
+        self._began_s: list[float] = []
+
+    def __call__(self) -> float:
+        """Return the time without what was left out."""
+        return self._clock() - self._left_out_s
+
+    def begin_leaving_out(self) -> None:
+        """Leave out the time from now on; calls may be nested."""
+        self._began_s.append(self._clock())
+
+    def end_leaving_out(self) -> None:
+        """Count the time again once every begin has its end."""
+        began_s = self._began_s.pop()
+        if not self._began_s:
+            self._left_out_s += self._clock() - began_s
+
+
+work_clock = WorkClock()
+
+
 def left_s(elapsed_s: float, share: float) -> float:
     """Return the remaining time of work whose completed share has grown evenly.
 
@@ -214,8 +239,9 @@ def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = F
     console = Console(stderr=True)
     figure = TaskProgressColumn() if isinstance(total, float) else MofNCompleteColumn()
     columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), Remaining())
-    with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
-        lines = _Lines(partial(print, file=sys.stderr, flush=True), time.monotonic)
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=not stay, disable=hidden, get_time=work_clock) as progress:
+        lines = _Lines(partial(print, file=sys.stderr, flush=True), work_clock)
         shown = Bar(progress, progress.add_task(text, total=total), done, lines if progress.disable else None)
         shown.advance(done)
         with lines.first_line() if progress.disable else nullcontext():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from softarm.common import processes
-from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar, left_s
+from softarm.common.processes import WorkClock, WorkerDied, _Lines, as_they_come, bar, left_s
 from tests.processes import gone, until
 
 ROOT = Path(__file__).parents[2]
@@ -151,6 +151,22 @@ def test_the_remaining_time_of_resumed_work_counts_from_where_it_resumed():
     said, clock = [], iter([0.0, 10.0])
     _Lines(said.append, lambda: next(clock)).update("training", 0.7, begun=0.6)
     assert said == ["training (70 %, about 30 s left)"]
+
+
+def test_the_remaining_time_leaves_compiling_out():
+    said, now_s = [], [0.0]
+    clock = WorkClock(lambda: now_s[0])
+    lines = _Lines(said.append, clock)
+    now_s[0] = 5.0
+    clock.begin_leaving_out()
+    clock.begin_leaving_out()
+    now_s[0] = 25.0
+    clock.end_leaving_out()
+    now_s[0] = 45.0
+    clock.end_leaving_out()
+    now_s[0] = 50.0
+    lines.update("simulating", 0.25)
+    assert said == ["simulating (25 %, about 30 s left)"]
 
 
 def test_long_work_without_reports_prints_one_line_without_a_terminal(capsys, monkeypatch):
