@@ -15,7 +15,7 @@ class Announcement(logging.StreamHandler[Any]):
     """Handler that prints the compiler's messages, and keeps compiling out of the remaining time of progress bars."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a message."""
+        """Print a message of the compiler."""
         super().emit(record)
         _leave_compiling_out()
 

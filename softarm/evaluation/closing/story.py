@@ -123,7 +123,10 @@ def _widened(closed: Closed) -> list[str]:
     if part >= whole:
         return []
     wider = number((whole / part) ** 0.5, 2)
-    return [f"Only {part} of the paper's {whole} targets were flown, so all intervals are about {wider} times as wide."]
+    return [
+        f"Only {part} of the paper's {whole} targets were flown, so the intervals are about {wider} times as wide. "
+        "Repeat without --quick before you decide."
+    ]
 
 
 def sentences_of(wires: Wires) -> list[str]:

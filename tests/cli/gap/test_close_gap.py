@@ -46,8 +46,8 @@ def test_quick_flies_a_tenth_and_says_that_the_intervals_are_wider(campaign, tmp
     assert outcome.exit_code == 3, outcome.output
     said = " ".join(outcome.stdout.split())
     assert "50 %" in said  # of two targets
-    assert "Only 2 of the paper's 54 targets were flown, so all intervals are about 5.2 times as wide." in said
-    assert "so all intervals are about 5.2 times as wide" in (tmp_path / "out" / "report.html").read_text()
+    assert "Only 2 of the paper's 54 targets were flown, so the intervals are about 5.2 times as wide." in said
+    assert "so the intervals are about 5.2 times as wide" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_existing_results_are_not_overwritten(campaign, tmp_path):
