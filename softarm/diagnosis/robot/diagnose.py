@@ -52,11 +52,11 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
         comparison.setup,
         candidates(comparison.model),
         NEXT_TO_ANOTHER if named else ROBOT,
-        lambda what, done: progress(what, 0.12 + 0.63 * done),
+        lambda what, done: progress(what, 0.12 + 0.78 * done),
     )
-    progress("fitting a flexible model", 0.75)
+    progress("fitting a flexible model", 0.90)
     decided = decide(comparison, found)
-    progress("measuring the shrink of the gap", 0.85)
+    progress("measuring the shrink of the gap", 0.96)
     stages = _stages(comparison, found, decided, counted)
     patched = None
     if decided.decision.selected or named:
