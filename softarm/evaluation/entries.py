@@ -103,7 +103,7 @@ def _at_path(word: str, known: Mapping[str, registry.PolicyEntry]) -> Rows:
     if path.is_file():
         raise PolicyError(
             f"{word}: is no ONNX file; name a policy, an ONNX file or a training folder. "
-            "`softarm export` makes an ONNX file from a checkpoint (best.pt)"
+            "`softarm dev export` makes an ONNX file from a checkpoint (best.pt)"
         )
     if path.suffix == ".onnx" or path.parent != Path("."):
         raise PolicyError(f"{word}: does not exist; name an ONNX file, or the folder of `softarm train`")
@@ -127,7 +127,7 @@ def _in_folder(word: str, folder: Path) -> Rows:
     if (folder / "latest.pt").exists():
         raise PolicyError(
             f"{word}: the run has not written its policy yet; wait for its end, "
-            f"or export a checkpoint: softarm export {folder / 'latest.pt'} --out mine.onnx"
+            f"or export a checkpoint: softarm dev export {folder / 'latest.pt'} --out mine.onnx"
         )
     below = sorted({str(file.parent) for file in folder.glob("*/*.onnx")})
     hint = f"name one of {', '.join(below[:5])}" if below else "`softarm train --out` writes one"

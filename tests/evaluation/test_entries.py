@@ -74,7 +74,7 @@ def test_a_file_in_a_folder_of_several_has_its_path_as_the_name(folder):
         ("runs/mnie", "runs/mnie: does not exist; name an ONNX file, or the folder"),
         ("missing.onnx", "missing.onnx: does not exist"),
         ("damaged.onnx", "damaged.onnx: not an ONNX"),
-        ("best.pt", "best.pt: is no ONNX file; .*`softarm export`"),
+        ("best.pt", "best.pt: is no ONNX file; .*`softarm dev export`"),
         ("runs/begun", "runs/begun: the run has not written its policy yet"),
         ("runs", r"runs: no policy .* in this folder; name one of runs/mine"),
         ("damaged", "no policy damaged; "),

@@ -78,7 +78,9 @@ class Replay:
         if process.returncode != 0:
             how = process.returncode
             ended = f"by {signal.Signals(-how).name}" if how < 0 else f"with exit code {how}"
-            raise ReplayError(f"{self.path.name}: its replay ended {ended}; try `softarm logs replay` on the machine itself")
+            raise ReplayError(
+                f"{self.path.name}: its replay ended {ended}; try `softarm logs replay` on the machine itself"
+            )
         return answer
 
     def end(self) -> None:

@@ -74,7 +74,7 @@ class RecordedFlight:
             return tables.arrow(self._read(tables.ticks))
 
     def save(self, path: Path | str) -> None:
-        """Write the page with arm, charts and events as one HTML file, as `softarm view` does.
+        """Write the page with arm, charts and events as one HTML file, as `softarm logs view` does.
 
         Raises:
             ValueError: The file's name does not end in .html.
