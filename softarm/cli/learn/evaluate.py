@@ -2,29 +2,28 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from softarm.cli.learn.choice import Choice
+from softarm.cli.learn.film import film
 from softarm.cli.shared.completion import policies_and_files
 from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
-    check_places,
     config_option,
     flown_model,
     json_option,
     load_config,
     model_option,
     write,
-    write_bytes,
     write_json,
 )
-from softarm.cli.shared.printing import print_table, waiting
+from softarm.cli.shared.printing import print_table
 from softarm.common.processes import bar, cores
 
 if TYPE_CHECKING:
@@ -33,43 +32,6 @@ if TYPE_CHECKING:
     from softarm.schemas.model import Model
 
 DEFAULT_POLICY = "reach"
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """Arguments and options of one call, by their names in the command."""
-
-    policies: tuple[str, ...]
-    config_file: Path | None
-    model_file: Path | None
-    compare_all: bool
-    runs: Path | None
-    only: tuple[str, ...]
-    tests: tuple[str, ...]
-    matrix: bool
-    report: Path | None
-    film: Path | None
-    target: tuple[float, float] | None
-    workers: int | None
-    json_file: Path | None
-
-    def check(self) -> None:
-        """Raise UsageError for options that have no effect together, and Failure for a place that does not exist."""
-        if (self.runs or self.only) and not (self.compare_all or self.matrix):
-            raise click.UsageError(
-                "--runs and --only go with --all. Without --all, name each policy or folder: softarm evaluate POLICY..."
-            )
-        if self.matrix and self.runs is None:
-            raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
-        if self.matrix and (self.policies or self.model_file or self.compare_all):
-            raise click.UsageError(
-                "--matrix flies a sweep's policies on every shipped model: omit POLICY, --model and --all"
-            )
-        if self.model_file and (own := [test for test in self.tests if "@" in test]):
-            raise click.UsageError(f"--test {own[0]} names a model itself: omit --model, or @ and what follows")
-        if self.target and self.film is None:
-            raise click.UsageError("--target Y Z is the target of the film: add --film FILE.gif")
-        check_places(self.json_file, self.report, self.film)
 
 
 def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> None:
@@ -122,7 +84,7 @@ def evaluate(**chosen: Any) -> None:
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
     leaves(NOTHING)
-    choice = _Choice(**chosen)
+    choice = Choice(**chosen)
     choice.check()
     config = load_config(choice.config_file)
     model = flown_model(choice.model_file)
@@ -132,16 +94,16 @@ def evaluate(**chosen: Any) -> None:
         compared = choice.compare_all or choice.matrix or choice.tests or choice.report or _needs_table(found)
         if choice.workers is not None and not compared:
             raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several policies")
-        film = None if choice.film is None else _film(choice.film, choice.target, found, tests, config)
+        write_film = None if choice.film is None else film(choice.film, choice.target, found, tests, config)
         if compared:
             _compare(choice, found, tests, config)
         else:
             _evaluate(choice, found[0], config, model)
-        if film is not None:
-            film()
+        if write_film is not None:
+            write_film()
 
 
-def _tests(choice: _Choice) -> tuple[str, ...]:
+def _tests(choice: Choice) -> tuple[str, ...]:
     """Return the tests to fly. Raises ValueError for an unknown one, or if none takes the model of --model."""
     from softarm.evaluation import tests as known
 
@@ -155,7 +117,7 @@ def _tests(choice: _Choice) -> tuple[str, ...]:
     return tuple(known.on_model(test, choice.model_file) for test in tests)
 
 
-def _entries(choice: _Choice, tests: tuple[str, ...], config: "Config") -> "list[Entry]":
+def _entries(choice: Choice, tests: tuple[str, ...], config: "Config") -> "list[Entry]":
     """Return the rows of the table, those of POLICY first; raise PolicyError for one that cannot be flown."""
     from softarm.evaluation import entries, table
 
@@ -180,7 +142,7 @@ def _needs_table(found: "Sequence[Entry]") -> bool:
     return len(found) > 1 or found[0].name == CEILING
 
 
-def _compare(choice: _Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
+def _compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
     from softarm.evaluation import page, table
 
     with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
@@ -191,7 +153,7 @@ def _compare(choice: _Choice, found: "Sequence[Entry]", tests: tuple[str, ...], 
         write(choice.report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
 
 
-def _evaluate(choice: _Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:
+def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:
     from softarm.evaluation import evaluation
 
     with bar(f"flying {entry.name}", evaluation.FLIGHTS) as shown:
@@ -204,34 +166,3 @@ def _evaluate(choice: _Choice, entry: "Entry", config: "Config", model: "Model |
         f"{result['real_time_factor']:.0f}x real time"
     )
     write_json(choice.json_file, result)
-
-
-def _film(
-    file: Path,
-    target_m: tuple[float, float] | None,
-    found: "Sequence[Entry]",
-    tests: tuple[str, ...],
-    config: "Config",
-) -> Callable[[], None]:
-    """Fly what a film shows, before minutes of work, and return a function that draws and writes it."""
-    from softarm.evaluation import film
-    from softarm.evaluation import tests as known
-    from softarm.evaluation.entries import CEILING
-    from softarm.evaluation.runner import load
-
-    film.check(file)
-    wanted, robot = film.candidates(tests[0], target_m, config), known.robot(tests[0])
-    first = next((entry for entry in found if entry.name != CEILING), None)
-    if first is None:
-        raise ValueError(f"--film {file}: {CEILING} is a search, not a policy; name a policy")
-    with waiting(f"flying for {file}"):
-        flown = film.fly(load(first.file or first.name, config), robot, wanted, config)
-
-    def write_film() -> None:
-        leaves(f"{file} was not written")
-        with waiting(f"drawing {file}"):
-            content = film.encode(first.name, flown, robot, config, file.suffix)
-        click.echo(film.sentence(first.name, flown))
-        write_bytes(file, content)
-
-    return write_film
