@@ -6,6 +6,8 @@ import pytest
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.diagnosis.rigs.mjcf.checks import mistakes
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS
@@ -63,3 +65,13 @@ def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
     ranged = 'name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'
     with pytest.raises(TrialError, match="their zeros differ: write `add`"):
         view(tmp_path, recorded, "camera", "tilt", added, ranged)
+
+
+@pytest.mark.parametrize(("factor", "limit", "refused"), [(0.2, np.inf, True), (1.0, 0.3, False)])
+def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
+    """Small torques separate a limit, which can be named, from a wrong gear or unit."""
+    command = np.random.default_rng(2).normal(size=2000)
+    needed = factor * np.clip(command, -limit, limit)
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    found = list(mistakes(hip, "run.csv", np.cumsum(command) * 1e-3, 1.0 * command, needed))
+    assert bool(found) == refused
