@@ -9,7 +9,7 @@ from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
 
 
-@click.command()
+@click.command(short_help="Write a checkpoint as an ONNX policy.")
 @click.argument("checkpoint", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The ONNX file to write.")
 def export(checkpoint: Path, out: Path) -> None:

@@ -17,7 +17,7 @@ OUT = Path("runs/trajectories.npz")
 LISTED = 12  # so many plans are shown one by one
 
 
-@click.command()
+@click.command(short_help="Optimise trajectories for the policy that tracks them.")
 @click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
 @click.option(
     "--start",

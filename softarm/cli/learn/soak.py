@@ -13,7 +13,7 @@ from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, check_places, json_option, write, write_json
 
 
-@click.command()
+@click.command(short_help="Fly for hours and report growth and events.")
 @click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0), help="Real time; 0 for none.")
 @click.option("--lockstep-days", default=0.0, show_default=True, type=click.FloatRange(0), help="Simulated time.")
 @click.option("--seed", default=0, show_default=True, help="Seed of goals, faults and misbehaving clients.")

@@ -28,7 +28,7 @@ def logs() -> None:
     """
 
 
-@logs.command("list")
+@logs.command("list", short_help="List the recordings, newest first.")
 @print_option
 @remote
 def list_(daemon: Remote, as_json: bool) -> None:
@@ -58,7 +58,7 @@ for verb in (show, view, replay, export):
     logs.add_command(verb)
 
 
-@logs.command()
+@logs.command(short_help="Repair logs that were cut off.")
 @click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 def recover(paths: tuple[Path, ...]) -> None:
     """Repair logs that were cut off by a kill or a full disk; PATHS are logs or folders of them.

@@ -12,7 +12,7 @@ from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
 
 
-@click.command()
+@click.command(short_help="Compare a log's commands with the tick, bit for bit.")
 @click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True, shell_complete=logs)
 def replay(files: tuple[Path, ...]) -> None:
     """Run a log's inputs through the tick again and compare every command, bit for bit.

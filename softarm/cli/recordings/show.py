@@ -10,7 +10,7 @@ from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import print_option
 
 
-@click.command()
+@click.command(short_help="Show length, end, policies and events.")
 @click.argument("log", type=FILE, shell_complete=logs)
 @print_option
 def show(log: Path, as_json: bool) -> None:

@@ -8,7 +8,7 @@ import click
 from softarm.cli.shared.options import FILE, write
 
 
-@click.command()
+@click.command(short_help="Play a recording in the browser.")
 @click.argument("log", type=FILE, required=False)
 @click.option("--out", type=FILE, help="Page to write.  [default: LOG with .html, in this folder]")
 @click.option("--open/--no-open", "to_open", default=True, help="Open the page in the browser.")
