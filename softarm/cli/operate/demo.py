@@ -68,7 +68,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
             f"{result['y_m']:+.2f}, {result['z_m']:.2f}",
             result["state"],
             f"{result['time_s']:.2f}",
-            f"{1e3 * result['closest_m']:.0f}",
+            in_mm(result["closest_m"]),
         )
         for result in results
     ]
@@ -92,5 +92,10 @@ def _fly(console: "Console", sil: "SoftwareInTheLoop", number: int, goal: Goal) 
     with console.status(label) as line:
         result = sil.fly(goal, lambda y_m, z_m: line.update(f"{label}   tip ({y_m:+.2f}, {z_m:.2f}) m"))
     mark = "[green]reached[/green]" if result["state"] == "reached" else f"[red]{result['state']}[/red]"
-    console.print(f"{label}   {mark} after {result['time_s']:.2f} s, closest {1e3 * result['closest_m']:.0f} mm")
+    console.print(f"{label}   {mark} after {result['time_s']:.2f} s, closest {in_mm(result['closest_m'])} mm")
     return result
+
+
+def in_mm(closest_m: float | None) -> str:
+    """Return a closest distance in mm; a dash for a goal that a stop ended before its first tick."""
+    return "-" if closest_m is None else f"{1e3 * closest_m:.0f}"
