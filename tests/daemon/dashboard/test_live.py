@@ -77,11 +77,12 @@ def test_a_chart_shows_its_newest_value_and_the_one_under_the_pointer(page, robo
     newest = pressure.all_inner_texts()
     over = page.locator(".plot", has_text="Cart velocity").locator(".u-over")
     over.hover(position={"x": over.bounding_box()["width"] - 6, "y": 40})
-    assert re.search(r"\d+\.\d s before the pause", page.locator("#charts-note").inner_text())
+    page.locator("#charts-note", has_text=re.compile(r"\d+\.\d s before the pause")).wait_for()
     box = over.bounding_box()
     seen = set()
     for back in range(2, 12):  # the pressure changed within the last seconds
         page.mouse.move(box["x"] + box["width"] - back, box["y"] + 40)
+        page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
         seen.add(tuple(pressure.all_inner_texts()))
     assert len(seen | {tuple(newest)}) > 2
 
