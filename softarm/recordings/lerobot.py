@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from softarm.common import files
 from softarm.recordings import flight
 from softarm.schemas.goals import GoalStatus
-from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL
+from softarm.schemas.messages import Command
+from softarm.schemas.policy import Observation
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
-STATE, ACTIONS = (
-    tuple(f"{signal.name}_{signal.unit.replace('/', '_').lower()}" for signal in signals)
-    for signals in ((*OBSERVATION, *REACH_GOAL), ACTION)
-)
+STATE = (*Observation._fields, "target_y_m", "target_z_m")
+ACTIONS = Command._fields[1:]  # without the drive's enable
 TASK = "swing the tip onto the target"
 _FILE = "chunk-000/file-000.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -67,7 +66,7 @@ def episodes(path: Path) -> Iterator[Episode | None]:
             rows = []
         status = out.goal
         if status.state == "running" and status.goal is not None and status.goal.kind == "reach":
-            seen = [*out.observed.values] if out.observed else [math.nan] * len(OBSERVATION)
+            seen = [*out.observed.values] if out.observed else [math.nan] * len(Observation._fields)
             target = [math.nan if x is None else x for x in (status.goal.y_m, status.goal.z_m)]
             rows.append((out.tick, [*seen, *target], [*(out.action or (math.nan, math.nan))]))
 
