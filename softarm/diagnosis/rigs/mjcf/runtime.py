@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, mechanism
 from softarm.diagnosis.rigs.mjcf.patch import standard
 from softarm.schemas.verdict import Verdict
@@ -75,6 +77,9 @@ class RuntimeEffects:
     intervals: Mapping[tuple[str, int], tuple[float, float]]  # field and joint -> 95 % interval
     step_s: float  # of the model
     depth: int  # D: steps of the longest delay, and two
+    gear: Array  # [J], 1 without an actuator
+    loop: NDArray[np.bool_]  # [J], whether the actuator is a position loop
+    dry: Array  # [J], dry friction of the model
 
     @classmethod
     def read(cls, verdict: Path, model: Path) -> "RuntimeEffects":
@@ -101,7 +106,16 @@ class RuntimeEffects:
         delays = [0.0, *values["dead_time_s"], *values["latency_s"]]
         delays += [high for (field, _), (_, high) in intervals.items() if field in ("dead_time_s", "latency_s")]
         depth = int(np.ceil(max(delays) / robot.step_s)) + 2
-        return cls(joints, Parameters(**values), intervals, robot.step_s, depth)
+        return cls(
+            joints,
+            Parameters(**values),
+            intervals,
+            robot.step_s,
+            depth,
+            np.array([joint.actuator.gear if joint.actuator else 1.0 for joint in joints]),
+            np.array([bool(joint.actuator and joint.actuator.kp > 0) for joint in joints]),
+            np.array([joint.dry for joint in joints]),
+        )
 
     def drawn(self, random: np.random.Generator, batch: int) -> "RuntimeEffects":
         """Return a batch of robots with sizes drawn uniformly from the 95 % intervals, [batch, J]."""
@@ -127,9 +141,7 @@ class RuntimeEffects:
             motion: position, speed and torque of the actuator (`qfrc_actuator`) of each joint, [..., J] each.
             xp: numpy or jax.numpy.
         """
-        p, (position, speed, torque) = self.parameters, motion
-        gear = np.array([joint.actuator.gear if joint.actuator else 1.0 for joint in self.joints])
-        loop = np.array([bool(joint.actuator and joint.actuator.kp > 0) for joint in self.joints])
+        p, gear, loop, (position, speed, torque) = self.parameters, self.gear, self.loop, motion
         sent = _pushed(state.sent, ctrl, xp)
         most = p.rate_per_s * self.step_s
         limited = state.limited + xp.clip(self._late(sent, p.dead_time_s, xp) - state.limited, -most, most)
@@ -137,7 +149,7 @@ class RuntimeEffects:
         wanted = limited + p.command_bias - xp.where(loop, gear * p.sensor_bias, 0.0)
         width = np.abs(gear) * p.deadband
         wanted = wanted - xp.where(loop, xp.clip(wanted - gear * position, -width, width), 0.0)
-        dry = np.array([joint.dry for joint in self.joints]) + p.load_share * xp.abs(torque)
+        dry = self.dry + p.load_share * xp.abs(torque)
         dry = dry + p.stiction * xp.exp(-((speed / p.stiction_speed) ** 2))
         force = p.torque_offset - p.drag * xp.abs(speed) * speed
         return state._replace(sent=sent, limited=limited), Applied(wanted, force, dry)
