@@ -1,6 +1,6 @@
 // Charts (uPlot) that share window, cursor and marks. A legend shows the newest values, or those under the pointer.
 
-/* global uPlot, chartAxis, chartSeries, sampleAt, tableColour */
+/* global uPlot, chartAxis, chartSeries, paddedRange, sampleAt, tableColour */
 import { el, number, setText } from "./dom.js";
 
 const STEPS_S = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120];
@@ -41,6 +41,7 @@ class Chart {
   build() {
     this.plot?.destroy();
     const { group, spec } = this;
+    const [low, high] = spec.span;
     this.plot = new uPlot({
       width: Math.max(180, this.canvas.clientWidth),
       height: Math.max(100, this.canvas.clientHeight),
@@ -51,7 +52,7 @@ class Chart {
         bind: { dblclick: () => () => group.zoom(null) },
         points: { size: 5 },
       },
-      scales: { x: { time: false, range: () => group.window() }, y: { range: (_, from, to) => padded(spec.span, from, to) } },
+      scales: { x: { time: false, range: () => group.window() }, y: { range: (_, from, to) => paddedRange(Math.min(from ?? low, low), Math.max(to ?? high, high)) } },
       axes: [
         chartAxis({ size: 24, gap: 3, incrs: STEPS_S, space: 44, values: (_, at, _axis, _space, step) => at.map((t) => group.label(t, step < 0.1 ? 2 : step < 1 ? 1 : 0)) }),
         chartAxis({ size: 42, gap: 3, space: 26, values: (_, at) => at.map((value) => String(Number(value.toFixed(6))).replace("-", "−")) }),
@@ -96,12 +97,6 @@ class Chart {
     this.now.hidden = px < 0 || px > this.plot.over.clientWidth;
     this.now.style.transform = `translateX(${px.toFixed(1)}px)`;
   }
-}
-
-function padded([low, high], from, to) {
-  const [least, most] = [Math.min(from ?? low, low), Math.max(to ?? high, high)];
-  const padding = 0.06 * (most - least);
-  return [least - padding, most + padding];
 }
 
 // Return the row whose time is nearest.
