@@ -18,6 +18,7 @@ from softarm.daemon.config.places import latch_path
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.foxglove.publisher import FoxglovePublisher
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.ros.node import RosNode
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.first_policy import first_policy
 from softarm.daemon.runtime.loop import ControlLoop
@@ -84,6 +85,9 @@ class Daemon:
             lambda: self.port,
             sessions,
         )
+        self.ros: RosNode | None = None
+        if config.ros.router is not None:
+            self.ros = RosNode(config, self.inbox, lambda: self.loop.snapshot, lambda: controller.frame)
         self.port = self.stop_port = 0
 
     def _api_context(self, controller: Controller, devices: Devices, sessions: Sessions) -> ApiContext:
@@ -115,6 +119,8 @@ class Daemon:
             self.recorder.start()
             if self.foxglove is not None:
                 self.foxglove.start()
+            if self.ros is not None:
+                self.ros.start()
             self.stop_port = self.stop_listener.start()
             self.port = self.api.start()
         except Exception:
@@ -128,7 +134,7 @@ class Daemon:
         self._stop_parts(self.loop)
 
     def _stop_parts(self, *first: ControlLoop) -> None:
-        for part in (*first, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):
+        for part in (*first, self.latch, self.stop_listener, self.api, self.ros, self.recorder, self.foxglove):
             try:
                 if part is not None:
                     part.stop()

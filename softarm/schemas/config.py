@@ -263,6 +263,30 @@ class Recorder(Strict):
     arm_without_log: bool = False
 
 
+class Ros(Strict):
+    """ROS 2 topics over Zenoh in the wire format of rmw_zenoh; off without a router."""
+
+    router: str | None = None  # tcp/HOST:PORT; null: off
+    domain_id: Annotated[int, Field(ge=0, le=232)] = 0  # ROS_DOMAIN_ID
+    name: str = "softarm"  # of the node; its topics are /NAME/...
+    commands: Literal["none", "stop", "all"] = "none"  # topics that may command the robot
+
+    @model_validator(mode="after")
+    def _check_texts(self) -> Self:
+        if self.router is not None and not re.fullmatch(r"tcp/.+:[1-9][0-9]{0,4}", self.router):
+            raise ValueError(f"ros.router is {self.router!r}; allowed tcp/HOST:PORT, e.g. tcp/127.0.0.1:7447, or null")
+        if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
+            raise ValueError(f"ros.name is {self.name!r}; allowed a-z, 0-9 and _ after a letter: choose another")
+        return self
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Return host and port of a router that is not null."""
+        assert self.router is not None
+        host, _, port = self.router.removeprefix("tcp/").rpartition(":")
+        return host.strip("[]"), int(port)
+
+
 class Config(Strict):
     """Data model of softarm.yaml."""
 
@@ -274,6 +298,7 @@ class Config(Strict):
     drivers: Drivers = Drivers()
     api: Api = Api()
     recorder: Recorder = Recorder()
+    ros: Ros = Ros()
 
     @model_validator(mode="after")
     def _check_ramp(self) -> Self:

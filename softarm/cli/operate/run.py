@@ -106,6 +106,8 @@ def announce(running: "Daemon", to_open: bool = False) -> None:
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
     if running.foxglove is not None:
         click.echo(f"softarm: live for Foxglove at {running.foxglove.url} (open a connection, Foxglove WebSocket)")
+    if (ros := running.config.ros).router is not None:
+        click.echo(f"softarm: ROS 2 topics under /{ros.name} at {ros.router}, commands: {ros.commands}")
     key = "; space or s here is an emergency stop" if is_offered() else ""
     click.echo(f"softarm: stop: `softarm stop{address}`, or POST {running.stop_url}{key}")
     click.echo(f"softarm: next: `softarm arm{address}`, then `softarm goal reach -0.2 0.6{address}`; Ctrl-C ends")

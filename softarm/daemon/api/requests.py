@@ -55,10 +55,7 @@ class Requests:
         while not late:
             late = time.monotonic() >= deadline  # then look once more: the API itself may have been held up
             snapshot = self._view.snapshot()
-            if kind == "stop" and snapshot is not None and snapshot.has_stopped(number, posted_ns):
-                return RequestResult(number, True)
-            for result in reversed(snapshot.results if snapshot else ()):
-                if result.number == number:
-                    return result
+            if snapshot is not None and (result := snapshot.answer(kind, number, posted_ns)) is not None:
+                return result
             await asyncio.sleep(POLL_S)
         return None

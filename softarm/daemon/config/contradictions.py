@@ -5,6 +5,7 @@ Checked for every configuration file, but not in `Config` itself: the configurat
 
 from collections.abc import Iterator
 
+from softarm.daemon.access.auth import is_loopback
 from softarm.daemon.control.checks import OUTSIDE_M
 from softarm.daemon.control.safety import KNOWN_S
 from softarm.schemas.config import Config
@@ -20,6 +21,7 @@ def contradictions(config: Config) -> Iterator[str]:
     yield from _rail(config)
     yield from _times(config)
     yield from _logs(config)
+    yield from _ros(config)
 
 
 def arms_pull_m_s2(ramp_m_s2: float, surge_m_s2: float) -> float:
@@ -111,4 +113,21 @@ def _logs(config: Config) -> Iterator[str]:
         yield (
             f"recorder.keep_mb is {kept_mb}, less than two files of recorder.file_max_mb {file_mb}: a log would be "
             f"deleted as soon as the next one is full; raise keep_mb to {2 * file_mb} or lower file_max_mb"
+        )
+
+
+def _ros(config: Config) -> Iterator[str]:
+    """Refuse goals of clients who would need a token at the API: a ROS message carries none."""
+    ros, token_file = config.ros, config.api.token_file
+    if ros.commands != "none" and ros.router is None:
+        yield f"ros.commands is {ros.commands}, and ros.router is null: no command would arrive; name the router"
+    elif ros.commands == "all" and token_file is not None:
+        yield (
+            f"ros.commands is all, and api.token_file is {token_file}: every client of the router could command "
+            "without the token; set ros.commands to stop, or remove token_file"
+        )
+    elif ros.commands == "all" and not is_loopback(ros.address[0]):
+        yield (
+            f"ros.commands is all, and ros.router {ros.router} is on another machine, whose clients need a token at "
+            "the API; connect to a router on 127.0.0.1 that is linked to it, or set ros.commands to stop"
         )

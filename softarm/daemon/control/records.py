@@ -138,6 +138,12 @@ class Outputs:
         held = self.t_ns >= asked_ns and self.estop is not EStop.CLEAR
         return held or any(result.number == number and result.accepted for result in self.results)
 
+    def answer(self, kind: RequestKind, number: int, asked_ns: int) -> RequestResult | None:
+        """Return the answer to a request that was in the inbox at `asked_ns`, or None if there is none yet."""
+        if kind == "stop" and self.has_stopped(number, asked_ns):
+            return RequestResult(number, True)
+        return next((result for result in reversed(self.results) if result.number == number), None)
+
 
 @dataclass(frozen=True, slots=True)
 class TickTiming:

@@ -56,6 +56,7 @@ def _configuration(target: Target) -> Iterator[Finding]:
 def _wires(target: Target) -> Iterator[Finding]:
     """Examine the running daemon, or whether one can start."""
     config = target.config
+    yield from ports.ros_router(config.ros)
     if target.daemon is not None:
         yield from running.judge(target.daemon, config)
         return

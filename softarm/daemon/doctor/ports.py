@@ -1,4 +1,4 @@
-"""Checks of serial device, drive address and the daemon's own ports: present, permitted, free.
+"""Checks of serial device, drive address, ROS 2 router and the daemon's own ports: present, permitted, free.
 
 The drive gets one TCP connection without data, only if no daemon answers and this computer holds no connection to it.
 The serial device is never opened, since that would disturb the program that uses it.
@@ -20,7 +20,7 @@ from softarm.common.finding import Finding, ok, problem, warning
 from softarm.daemon.access import sockets
 from softarm.daemon.access.holders import holders
 from softarm.drivers.mocap import plugged
-from softarm.schemas.config import Config
+from softarm.schemas.config import Config, Ros
 
 CONNECT_S = 1.0
 SLOW_MS = 8.0  # an exchange that takes longer is slower than the loop: docs/reference/wires.md
@@ -144,6 +144,19 @@ def judge_axis(facts: Axis) -> Iterator[Finding]:
         yield warning("rail", f"{facts.address} took a connection in {facts.connect_ms:.1f} ms", advice)
     else:
         yield ok("rail", f"{facts.address} takes a connection in {facts.connect_ms:.1f} ms")
+
+
+def ros_router(ros: Ros) -> Iterator[Finding]:
+    """Yield a finding on the ROS 2 router, if one is configured; the arm flies without it."""
+    if ros.router is None:
+        return
+    try:
+        socket.create_connection(ros.address, timeout=CONNECT_S).close()
+    except OSError as error:
+        advice = "start it (`ros2 run rmw_zenoh_cpp rmw_zenohd`), or correct ros.router"
+        yield warning("ROS 2", f"{ros.router}: {error.strerror or error}", advice)
+    else:
+        yield ok("ROS 2", f"{ros.router} takes a connection; topics under /{ros.name}, commands: {ros.commands}")
 
 
 def listening(config: Config, wires: bool) -> Iterator[Finding]:

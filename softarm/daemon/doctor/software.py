@@ -18,6 +18,7 @@ EXTRAS = {
     "diagnosis": "identify, diagnose",
     "train": "train, export",
     "mujoco": "the independent robot",
+    "ros": "ROS bags, ROS 2 topics",
 }
 
 

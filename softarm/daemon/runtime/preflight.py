@@ -1,5 +1,6 @@
 """Checks before the daemon starts, for `softarm run` and `softarm check`."""
 
+import importlib.util
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from softarm.common.finding import Finding, problem
 from softarm.common.plugins import PluginError
 from softarm.common.yaml_lines import Place
 from softarm.daemon.access import sockets
-from softarm.daemon.access.auth import AuthError, load_tokens
+from softarm.daemon.access.auth import AuthError, is_loopback, load_tokens
 from softarm.daemon.config import configuration
 from softarm.daemon.config.configuration import ConfigurationError, Loaded
 from softarm.daemon.config.places import latch_path
@@ -108,6 +109,26 @@ def tokens_and_plug_ins(config: Config, wires: bool) -> Iterator[Finding]:
             plugged.load(mocap.driver, mocap.options)
         except PluginError as error:
             yield problem(NAME, str(error), CORRECT, ("drivers", "mocap", "driver"))
+    yield from _ros(config, wires)
+
+
+def _ros(config: Config, wires: bool) -> Iterator[Finding]:
+    """Check the package for ROS 2 messages and the router's address, on which the daemon may listen itself."""
+    ros, mocap, key = config.ros, config.drivers.mocap, ("ros", "router")
+    if ros.router is None:
+        return
+    if importlib.util.find_spec("rosbags") is None:
+        text = (
+            f"ros.router is {ros.router}, and rosbags is not installed; pip install 'softarm[ros]', or set it to null"
+        )
+        yield problem(NAME, text, CORRECT, key)
+    host, port = ros.address
+    if wires and mocap.driver == plugged.BUILT_IN and is_loopback(host) and mocap.endpoint.endswith(f":{port}"):
+        text = (
+            f"ros.router is {ros.router}, and the daemon listens at drivers.mocap.endpoint {mocap.endpoint}; "
+            "give motion capture another port, here and in bridge.yaml"
+        )
+        yield problem(NAME, text, CORRECT, key)
 
 
 def places(config: Config, wires: bool) -> Iterator[Finding]:

@@ -50,6 +50,13 @@ def test_the_defaults_have_no_contradiction():
         ("failsafe: {rail_stale_s: 0.6}", "is 0.6, above 0.5: the safety filter brakes", "to 0.5 or less"),
         ("failsafe: {mocap_stale_s: 0.03}", "is 0.03, no longer than a tick (0.0333 s", "to 0.07 or more"),
         ("recorder: {keep_mb: 600}", "is 600, less than two files of recorder.file_max_mb 500", "keep_mb to 1000"),
+        ("ros: {commands: stop}", "is stop, and ros.router is null: no command would arrive", "name the router"),
+        ("ros: {commands: all, router: tcp/10.0.0.2:7447}", "tcp/10.0.0.2:7447 is on another machine", "127.0.0.1"),
+        (
+            "ros: {commands: all, router: tcp/127.0.0.1:7447}\napi: {token_file: token}",
+            "is all, and api.token_file is token: every client of the router could command",
+            "to stop, or remove token_file",
+        ),
     ],
 )
 def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusals, text, said, next_step):

@@ -10,7 +10,7 @@ import pytest
 from softarm.common.finding import State
 from softarm.daemon.doctor import ports
 from softarm.daemon.doctor.ports import Axis, Serial
-from softarm.schemas.config import Api, Config, Drivers, Mocap
+from softarm.schemas.config import Api, Config, Drivers, Mocap, Ros
 
 THERE = Serial("/dev/ttyACM0", True, True, True, "dialout", "ann")
 
@@ -122,3 +122,14 @@ def test_a_used_port_and_a_foreign_address_are_reported(drive):
 def test_an_endpoint_without_tcp_is_not_checked():
     config = Config(api=Api(port=0), drivers=Drivers(mocap=Mocap(endpoint="unixpipe/none")))
     assert list(ports.listening(config, wires=True)) == []
+
+
+def test_a_silent_ros_router_does_not_prevent_a_flight():
+    assert list(ports.ros_router(Ros())) == []
+    with socket.create_server(("127.0.0.1", 0)) as router:
+        ros = Ros(router=f"tcp/127.0.0.1:{router.getsockname()[1]}", commands="stop")
+        found = only(ports.ros_router(ros))
+    assert (found.state, found.figure.rpartition("; ")[2]) == (State.OK, "topics under /softarm, commands: stop")
+    gone = only(ports.ros_router(ros))
+    assert (gone.state, gone.figure) == (State.WARNING, f"{ros.router}: Connection refused")
+    assert "rmw_zenohd" in gone.advice

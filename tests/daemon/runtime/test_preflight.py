@@ -136,3 +136,14 @@ def test_the_priority_check_leaves_the_priority_unchanged():
     assert said is None or "LimitRTPRIO=" in said
     assert os.sched_getscheduler(0) == before
     assert realtime.refused(0) is None
+
+
+def test_a_ros_router_needs_rosbags_and_an_address_of_its_own(look, tmp_path, monkeypatch):
+    text = where(tmp_path) + "ros: {router: tcp/localhost:7447}\n"
+    assert look(text, wires=False).problems == ()
+    (same,) = look(text).problems
+    assert same.startswith(f"{tmp_path}/arm.yaml:3: ros.router is tcp/localhost:7447, and the daemon listens at ")
+    assert same.endswith("tcp/127.0.0.1:7447; give motion capture another port, here and in bridge.yaml")
+    monkeypatch.setattr(preflight.importlib.util, "find_spec", lambda name: None)
+    (missing,) = look(text, wires=False).problems
+    assert "rosbags is not installed; pip install 'softarm[ros]', or set it to null" in missing
