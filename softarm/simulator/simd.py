@@ -7,6 +7,9 @@ With this type the kernel is written as if for one robot, and every operation is
     store(memory, row, lanes, select(x > 0.0, x * x, 0.5 - x))
 
 Vectors take + - * / and comparisons with each other and with scalars. They live in compiled functions only.
+
+A vector of one lane is a scalar: on a graphics card each thread computes one lane (cuda/stepper.py). Its memory may
+then be a strided array.
 """
 
 # The arguments of code generators are numba's own types.
@@ -41,7 +44,7 @@ class _VectorModel(models.PrimitiveModel):
 
 def _llvm(vector: Vector) -> ir.VectorType:
     elements = {types.float32: ir.FloatType(), types.float64: ir.DoubleType(), types.boolean: ir.IntType(1)}
-    return ir.VectorType(elements[vector.element], vector.width)
+    return ir.VectorType(elements[vector.element], vector.width) if vector.width > 1 else elements[vector.element]
 
 
 def _splat(context, builder, value, value_type, vector):
@@ -49,6 +52,8 @@ def _splat(context, builder, value, value_type, vector):
     if isinstance(value_type, Vector):
         return value
     scalar = context.cast(builder, value, value_type, vector.element)
+    if vector.width == 1:
+        return scalar
     one = builder.insert_element(ir.Constant(_llvm(vector), ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.width), None)
     return builder.shuffle_vector(one, one, zeros)
@@ -95,9 +100,13 @@ _define(operator.ne, lambda b, x, y: b.fcmp_unordered("!=", x, y), _mask)
 
 def _row(context, builder, memory_type, memory, row, vector):
     """Return a pointer to a row of a flat array."""
-    data = context.make_array(memory_type)(context, builder, memory).data
+    array = context.make_array(memory_type)(context, builder, memory)
+    if vector.width == 1:
+        first = builder.bitcast(array.data, ir.IntType(8).as_pointer())
+        offset = builder.mul(row, builder.extract_value(array.strides, 0))
+        return builder.bitcast(builder.gep(first, [offset]), array.data.type)
     start = builder.mul(row, ir.Constant(row.type, vector.width))
-    return builder.bitcast(builder.gep(data, [start]), _llvm(vector).as_pointer())
+    return builder.bitcast(builder.gep(array.data, [start]), _llvm(vector).as_pointer())
 
 
 @intrinsic
@@ -172,6 +181,8 @@ def _function(name):
             kind = _llvm(x)
             called = ir.FunctionType(kind, [kind])
             full = f"llvm.{name}.v{x.width}f{x.element.bitwidth}"
+            if x.width == 1:
+                full = f"__nv_{name}f"  # of CUDA's own library
             return builder.call(cgutils.get_or_insert_function(builder.module, called, full), args)
 
         return x(x), build

@@ -384,8 +384,16 @@ class Simulator:
         everyone = np.arange(self.robots)
         return everyone if robots is None else everyone[np.asarray(robots)]
 
-    def _run(self, entry: Callable[..., None], duration_s: float, given: int = 0) -> None:
-        """Advance by an entry point of the kernel; `given` are the bits of externally given motion."""
+    def prepare(self, duration_s: float) -> tuple[Array, int, int, float]:
+        """Prepare the memory for steps of a duration, s.
+
+        Returns:
+            The memory [blocks, rows, lanes] itself, the bits of the kernel's needed parts, the number of substeps and
+            their length, s.
+
+        Raises:
+            ValueError: for a duration that is not positive.
+        """
         if not 0.0 < duration_s < math.inf:
             raise ValueError(f"duration_s is {duration_s}; give a positive number of seconds")
         substeps = max(1, math.ceil(duration_s * self.physics_rate_hz - 1e-3))
@@ -393,7 +401,12 @@ class Simulator:
         if substep_s != self._substep_s:
             kernel.prepare(self._memory, self._links, self._lanes, self._real(substep_s))
             self._substep_s = substep_s
-        active = self._needed | self._given | given
+        return self._rows, self._needed | self._given, substeps, substep_s
+
+    def _run(self, entry: Callable[..., None], duration_s: float, given: int = 0) -> None:
+        """Advance by an entry point of the kernel; `given` are the bits of externally given motion."""
+        _, active, substeps, substep_s = self.prepare(duration_s)
+        active |= given
         parts = (0,) if active else ()
         dt = self._real(substep_s)
         entry(self._memory, self._scratch, self._links, self._lanes, parts, active, substeps, dt)
