@@ -21,6 +21,7 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.ros.node import RosNode
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.first_policy import first_policy
+from softarm.daemon.runtime.jobs import Jobs
 from softarm.daemon.runtime.loop import ControlLoop
 from softarm.daemon.runtime.service import Notifier, allow_descriptors
 from softarm.daemon.stop.latch import LatchKeeper
@@ -62,6 +63,7 @@ class Daemon:
         if foxglove is not None:
             self.recorder.listener = foxglove.take
         self.inbox = Inbox()
+        self.jobs = Jobs()
         # A robot simulated in this process has no stop to keep.
         self.latch = None if devices.simulated else LatchKeeper(latch_path(config), config.control.realtime_priority)
         self.notifier = Notifier()
@@ -99,6 +101,7 @@ class Daemon:
             self.recorder,
             self.recorder.history,
             self.recorder.recent,
+            self.jobs,
             frame=lambda: controller.frame,
             sessions=sessions,
             stop_port=lambda: self.stop_port,
@@ -134,7 +137,8 @@ class Daemon:
         self._stop_parts(self.loop)
 
     def _stop_parts(self, *first: ControlLoop) -> None:
-        for part in (*first, self.latch, self.stop_listener, self.api, self.ros, self.recorder, self.foxglove):
+        parts = self.jobs, self.latch, self.stop_listener, self.api, self.ros, self.recorder, self.foxglove
+        for part in (*first, *parts):
             try:
                 if part is not None:
                     part.stop()

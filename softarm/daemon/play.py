@@ -13,7 +13,8 @@ from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.policies.excite import Excite
-from softarm.schemas.config import Config, Policy
+from softarm.policies.registry import EXCITE
+from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.model import Model
 
@@ -91,10 +92,8 @@ def play_simulated(
 
 def _with_excitation(config: Config, excitation: str) -> Config:
     """Return the configuration with the excitation as its policy."""
-    name = f"excite-{excitation}"
-    policies = {**config.policies, name: Policy(plugin="excite", options={"excitation": excitation})}
-    control = config.control.model_copy(update={"policy": name})
-    return config.model_copy(update={"policies": policies, "control": control})
+    control = config.control.model_copy(update={"policy": f"{EXCITE}{excitation}"})
+    return config.model_copy(update={"control": control})
 
 
 def _arm(daemon: Daemon) -> None:

@@ -10,6 +10,7 @@ from softarm.policies.base import GROUP, INTERFACE, MODELS, Policy, PolicyError,
 from softarm.schemas.config import Policy as ConfiguredPolicy
 
 _KIND = "plugin"
+EXCITE = "excite-"  # before the name of an excitation: a policy that plays it, which is not listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +44,15 @@ def available(configured: Mapping[str, ConfiguredPolicy] | None = None) -> dict[
 
 
 def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) -> Policy:
-    """Load a policy by its name, which becomes its `spec.name`.
+    """Load a policy by its name, which becomes its `spec.name`; `excite-NAME` plays an excitation.
 
     Raises PolicyError, whose text names the policy, the problem and the available policies.
     """
     entries = available(configured)
     usable = ", ".join(n for n, entry in entries.items() if entry.error is None) or "none"
+    plugins = installed_plugins.installed(GROUP)
+    if name not in entries and name.startswith(EXCITE):
+        entries[name] = _entry(name, "excite", {"excitation": name.removeprefix(EXCITE)}, plugins)
     if name not in entries:
         near = nearest(name, entries)
         hint = f"did you mean '{near}'? " if near else ""
@@ -57,7 +61,7 @@ def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) ->
     if entry.error is not None:
         raise PolicyError(f"policy '{name}': {entry.error}; available: {usable}")
     try:
-        policy = installed_plugins.installed(GROUP)[entry.plugin]()(**entry.options)
+        policy = plugins[entry.plugin]()(**entry.options)
         if not isinstance(policy, Policy):
             raise PolicyError("it lacks spec, reset or step; see docs/policies/interface.md")
         policy.spec = replace(policy.spec, name=name)

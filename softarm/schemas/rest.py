@@ -182,15 +182,60 @@ class LogDeleted(Strict):
     name: str
 
 
-class ReplayAnswer(Strict):
-    """Result of the replay of a log."""
+class ExciteBody(Strict):
+    """Play an excitation on the armed robot, as a goal, and record it in a log of its own."""
+
+    kind: Literal["excite"]
+    excitation: str = Field(description="a name of `excitations` in GET /api/jobs")
+
+
+class DiagnoseBody(Strict):
+    """Diagnose logs, as `softarm diagnose --report` does."""
+
+    kind: Literal["diagnose"]
+    logs: Annotated[tuple[str, ...], Field(min_length=1, max_length=20)]
+
+
+class ReplayBody(Strict):
+    """Replay a log and compare all commands bit for bit, as `softarm logs replay` does."""
+
+    kind: Literal["replay"]
+    log: str
+
+
+JobBody = Annotated[ExciteBody | DiagnoseBody | ReplayBody, Field(discriminator="kind")]
+JobKind = Literal["excite", "diagnose", "replay"]
+
+
+class JobEntry(Strict):
+    """A job."""
+
+    number: int
+    kind: JobKind
+    text: str = Field(description="what it does, for people")
+    state: Literal["running", "done", "failed", "cancelled"] = "running"
+    progress: str = Field(default="", description="the current work of a running job")
+    share: float | None = Field(default=None, description="completed share, 0 to 1; null: unknown")
+    sentences: tuple[str, ...] = Field(default=(), description="result, or why the job failed")
+    started: AwareDatetime
+    ended: AwareDatetime | None = None
+    report: str | None = Field(default=None, description="name in GET /api/reports")
+    log: str | None = Field(default=None, description="name of the recorded log")
+
+
+class ExcitationEntry(Strict):
+    """An excitation that a job can play."""
 
     name: str
-    same: bool = Field(description="true: every compared tick gave the same commands, bit for bit")
-    ticks: int = Field(description="ticks in the log")
-    compared: int = Field(description="compared ticks; ticks that follow a gap in the log are skipped")
-    differences: int
-    sentences: tuple[str, ...] = Field(description="output of `softarm logs replay`; the last sentence is the result")
+    duration_s: float
+    description: str
+
+
+class JobsAnswer(Strict):
+    """The newest jobs since the start of the daemon, newest first; at most one is running."""
+
+    jobs: tuple[JobEntry, ...]
+    excitations: tuple[ExcitationEntry, ...]
 
 
 class ReportEntry(Strict):

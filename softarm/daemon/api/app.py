@@ -16,6 +16,7 @@ from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.endpoints.commands import Commands
 from softarm.daemon.api.endpoints.dashboard import DashboardFiles
 from softarm.daemon.api.endpoints.files import Files
+from softarm.daemon.api.endpoints.jobs import JobEndpoints
 from softarm.daemon.api.endpoints.login import Login
 from softarm.daemon.api.endpoints.observation import Observation
 from softarm.daemon.api.endpoints.policies import Policies, PolicyEndpoints
@@ -27,6 +28,7 @@ TAGS = [
     {"name": "Commands", "description": "Arm, disarm, stop, acknowledge and goals. Each waits for the control loop."},
     {"name": "Policies", "description": "List the policies and choose one."},
     {"name": "Observation", "description": "Status, events, charts and metrics. Nothing here changes the robot."},
+    {"name": "Jobs", "description": "Excitations, diagnoses and replays, one at a time, beside the control loop."},
     {"name": "Files", "description": "Logs, incident files and diagnosis reports on this machine."},
     {"name": "Login", "description": "Log-in for browsers. Programs send `Authorization: Bearer TOKEN` instead."},
 ]
@@ -61,6 +63,7 @@ def create_app(context: ApiContext) -> FastAPI:
         Commands(context, view, requests),
         PolicyEndpoints(context.config, policies, view, requests),
         Observation(context, view),
+        JobEndpoints(context, policies, view),
         Files(context.config, context.recorder),
         Login(access, sessions),
     ):

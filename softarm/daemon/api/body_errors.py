@@ -10,9 +10,16 @@ from softarm.schemas.config import Config
 EXAMPLES = {
     "/api/goal": '{"kind": "reach", "y_m": -0.2, "z_m": 0.65} or {"kind": "hold"}',
     "/api/policy": '{"name": "reach"}',
+    "/api/jobs": '{"kind": "excite", "excitation": "seed"} or {"kind": "replay", "log": "NAME.mcap"}',
     "/api/login": '{"token": "the text in api.token_file"}',
 }
-KEYS = {"/api/goal": ("kind", "y_m", "z_m"), "/api/policy": ("name",), "/api/login": ("token",)}
+KEYS = {
+    "/api/goal": ("kind", "y_m", "z_m"),
+    "/api/policy": ("name",),
+    "/api/jobs": ("kind", "excitation", "logs", "log"),
+    "/api/login": ("token",),
+}
+KINDS = {"/api/goal": ("reach", "hold", "run"), "/api/jobs": ("excite", "diagnose", "replay")}
 ERRORS_MAX = 5
 NAME_MAX = 40
 
@@ -30,12 +37,14 @@ def _sentence(error: Mapping[str, Any], path: str, config: Config) -> str:
     if place[0] != "body":
         return f"{place[-1]}: {str(error['msg']).lower()}"
     example = f"send {EXAMPLES[path]}"
-    name = next((str(part) for part in reversed(place[1:]) if part not in ("reach", "hold", "run")), "")
+    parts = [part for part in place[1:] if isinstance(part, str) and part not in KINDS.get(path, ())]
+    name = parts[-1] if parts else ""
     if kind == "json_invalid":
         return f"the body is not JSON ({error.get('ctx', {}).get('error', error['msg'])}); {example}"
     if kind.startswith("union_tag"):
-        return f"kind: must be 'reach', 'hold' or 'run'; {example}"
-    if not name or isinstance(place[-1], int):
+        *kinds, last = map(repr, KINDS[path])
+        return f"kind: must be {', '.join(kinds)} or {last}; {example}"
+    if not name:
         return f"the body must be a JSON object with Content-Type: application/json; {example}"
     if kind == "extra_forbidden":
         shown = name if len(name) <= NAME_MAX else f"{name[:NAME_MAX]}..."
@@ -51,5 +60,9 @@ def _allowed(name: str, config: Config) -> str:
             return f"a number; allowed {allowed_z(config)}"
         case "token":
             return "text: the token in the file of api.token_file, or the token of another role"
+        case "excitation":
+            return "text; GET /api/jobs lists the names"
+        case "log" | "logs":
+            return f"{'text' if name == 'log' else 'a list of one to 20 texts'}; GET /api/logs lists the names"
         case _:
             return "text; GET /api/policies lists the names"

@@ -12,6 +12,7 @@ from softarm.daemon.control.records import Outputs, Problems
 from softarm.daemon.logbook.history import History
 from softarm.daemon.logbook.recent import Recent
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime.jobs import Jobs
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame
 
@@ -27,6 +28,7 @@ class ApiContext:
     recorder: Recorder | None = None
     history: History = field(default_factory=lambda: History("", time.monotonic_ns, time.time_ns))
     recent: Recent = field(default_factory=lambda: Recent(time.monotonic_ns, time.time_ns))
+    jobs: Jobs = field(default_factory=Jobs)
     policies: Policies | None = None  # None for the installed ones
     frame: Callable[[], MocapFrame | None] = lambda: None  # newest valid one
     simulated: bool = False  # the robot is simulated in this process

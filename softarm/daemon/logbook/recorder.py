@@ -88,6 +88,8 @@ class Recorder:
         self._refused = 0  # ticks refused by a full queue
         self._lost = 0  # ticks that could not be written
         self._in_goal = False  # a policy executes a goal
+        self._splitting = False  # a new file was requested
+        self.begun_ns = 0  # CLOCK_MONOTONIC at the start of the file
         self._next_try_s = 0.0  # next attempt to start a file
         self.listener: Callable[[Tick, list[Entry]], None] | None = None  # another consumer of ticks; must not block
         self.path: Path | None = None  # of the log being written
@@ -133,6 +135,10 @@ class Recorder:
         if self._settings.enabled:
             self._queue.append(spec)
 
+    def split(self) -> None:
+        """Begin a new file soon, between two goals. Never blocks; `path` changes when it is done."""
+        self._splitting = True
+
     def done(self, what: str, text: str, who: str) -> None:
         """Note an action outside the control loop, such as a deleted log. Never blocks."""
         self._queue.append(_Action(self._monotonic_ns(), what, text, who))
@@ -160,6 +166,7 @@ class Recorder:
         with file:
             live = TickFile(file)
             self._parts += 1
+            self._splitting, self.begun_ns = False, self._monotonic_ns()
             run = {"id": self._run, "part": str(self._parts)}
             live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns(), run)
             self._thinning.begin()
@@ -182,7 +189,7 @@ class Recorder:
 
     def _may_end_file(self, fullness: float, is_old: bool) -> bool:
         """Return whether the file may end: if possible between goals, so that the next file replays by itself."""
-        due = fullness >= OVERFULL or ((fullness >= 1 or is_old) and not self._in_goal)
+        due = fullness >= OVERFULL or ((fullness >= 1 or is_old or self._splitting) and not self._in_goal)
         return due and time.monotonic() >= self._next_try_s
 
     def _following(self) -> tuple[Path, BinaryIO] | None:

@@ -410,9 +410,10 @@ def delayed(values: Any, delay_s: float) -> Any:
 def directions(grid: TrialGrid) -> Array:
     """Return the absolute angles of the links at the start of every trial, rad, [K, n]."""
     n = grid.links
-    ends = np.nan_to_num(np.nanmean(grid.links_m[:6], axis=0)) if np.isfinite(grid.links_m[:6]).any() else None
-    if ends is None:
+    seen = np.isfinite(first := grid.links_m[:6])
+    if not seen.any():
         return np.zeros((len(grid.trials), n))
+    ends = np.where(seen, first, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     steps = np.diff(ends.reshape(-1, 2, n), axis=2, prepend=0.0)
     return np.asarray(np.arctan2(steps[:, 0], -steps[:, 1]))
 

@@ -94,7 +94,7 @@ MAY = {  # the least of them that may
     ("DELETE", "/api/goal"): "token_file",
     ("PUT", "/api/policy"): "token_file",
     ("DELETE", "/api/logs/flight.mcap"): "token_file",
-    ("POST", "/api/logs/flight.mcap/replay"): "token_file",
+    ("POST", "/api/jobs"): "token_file",
     ("OPTIONS", "/api/status"): "token_file",
     ("BREW", "/api/status"): "token_file",
 }

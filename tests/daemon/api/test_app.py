@@ -101,6 +101,7 @@ def test_the_schema_lists_every_possible_refusal(client):
     )
     assert {way for way, codes in documented.items() if "400" in codes} == {
         ("post", "/api/goal"),
+        ("post", "/api/jobs"),
         ("post", "/api/login"),
         ("put", "/api/policy"),
     }

@@ -59,8 +59,8 @@ def test_a_page_may_connect_to_the_daemon_and_the_stop_port_only(loop, app, clie
         headers = client.get(path).headers
         assert headers["content-security-policy"] == (
             "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
-            "manifest-src 'self'; connect-src 'self' http://127.0.0.1:8081; frame-ancestors 'none'; base-uri 'none'; "
-            "form-action 'none'"
+            "manifest-src 'self'; frame-src 'self'; connect-src 'self' http://127.0.0.1:8081; frame-ancestors 'none'; "
+            "base-uri 'none'; form-action 'none'"
         )
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["cache-control"] == "no-cache"
@@ -80,7 +80,7 @@ def test_a_page_may_connect_to_the_daemon_and_the_stop_port_only(loop, app, clie
 )
 def test_the_policy_names_the_stop_port_of_a_valid_host(host, port, source):
     assert stop_source(host, port) == source
-    assert POLICY.format(stop=source).count(";") == 9
+    assert POLICY.format(stop=source).count(";") == 10
 
 
 def test_an_unchanged_file_is_not_sent_again(client):

@@ -1,14 +1,12 @@
-"""Download, deletion and replay of logs and display of reports over the API, and of no other file."""
+"""Download, deletion and display of logs and reports over the API, and of no other file."""
 
 import itertools
 import os
 import shutil
 import socket
-import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 import httpx
 import pytest
@@ -18,7 +16,7 @@ from softarm.daemon.api.endpoints import files
 from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.runtime import replay_process
+from softarm.daemon.runtime import verb_process
 from softarm.recordings import finishing, player
 from softarm.schemas.config import Config
 from tests.processes import WAIT_S, until
@@ -89,7 +87,7 @@ def test_a_log_with_any_name_is_downloaded(client, folder):
 
 def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeypatch, loop, app, client_of):
     path, before = folder / "flight.mcap", (folder / "flight.mcap").read_bytes()
-    opened = files._opened
+    opened = files.opened
 
     def and_more(asked):
         found = opened(asked)
@@ -97,16 +95,19 @@ def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeyp
             file.write(b"more")
         return found
 
-    monkeypatch.setattr(files, "_opened", and_more)
+    monkeypatch.setattr(files, "opened", and_more)
     answer = client_of(app(loop, config)).get("/api/logs/flight.mcap")
     assert answer.content == before
 
 
 @pytest.mark.parametrize("method", ["GET", "DELETE", "POST"])
-def test_no_other_file_is_downloaded_deleted_or_replayed(client, folder, tmp_path, method):
+def test_no_other_file_is_downloaded_deleted_or_used_by_a_job(client, folder, tmp_path, method):
     before = sorted(tmp_path.rglob("*"))
     for name in NO_NAMES:
-        answer = client.request(method, f"/api/logs/{name}" + ("/replay" if method == "POST" else ""))
+        if method == "POST":
+            answer = client.post("/api/jobs", json={"kind": "replay", "log": unquote(name)})
+        else:
+            answer = client.request(method, f"/api/logs/{name}")
         assert answer.status_code in (404, 405, 409), name
         assert "secret" not in answer.text.replace(name, "").replace("secret.mcap", ""), name
         assert answer.json()["reasons"], name
@@ -183,44 +184,25 @@ def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
 
 
 @pytest.mark.slow
-def test_a_replay_answers_as_the_command_line_does(client, folder):
+def test_a_player_page_that_takes_too_long_is_ended_and_makes_room(client, folder, monkeypatch):
     shutil.copy(FLIGHT, folder / "real.mcap")
-    answer = client.post("/api/logs/real.mcap/replay")
-    assert answer.status_code == 200
-    said = answer.json()
-    command = [sys.executable, "-m", "softarm.cli.main", "logs", "replay", str(folder / "real.mcap")]
-    verb = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert said["same"] is (verb.returncode == 0)
-    assert (verb.stdout + verb.stderr).startswith("\n".join(said["sentences"]))  # progress follows on a slow machine
-    assert 0 < said["compared"] <= said["ticks"]
-
-
-@pytest.mark.slow
-def test_a_failed_replay_has_a_reason(client, folder):
-    answer = client.post("/api/logs/flight.mcap/replay")  # of random bytes
-    assert answer.status_code == 422
-    assert "flight.mcap" in answer.json()["detail"]
-
-
-@pytest.mark.slow
-def test_a_replay_that_takes_too_long_is_ended_and_makes_room(client, folder, monkeypatch):
-    shutil.copy(FLIGHT, folder / "real.mcap")
-    monkeypatch.setattr(files, "REPLAY_S", 0.05)
+    monkeypatch.setattr(files, "VIEW_S", 1.0)
+    monkeypatch.setattr(verb_process, "_PROGRAM", verb_process._PROGRAM.partition("from softarm")[0] + "signal.pause()")
     for _ in range(2):
-        answer = client.post("/api/logs/real.mcap/replay")
+        answer = client.get("/api/logs/real.mcap/view")
         assert answer.status_code == 504
-        assert "not replayed within 0.05 s" in answer.json()["detail"]
+        assert "not finished within 1 s" in answer.json()["detail"]
 
 
 @pytest.mark.slow
-def test_a_replay_whose_client_left_is_ended(loop, app, serving, config, folder):
+def test_a_player_page_whose_client_left_is_ended(loop, app, serving, config, folder):
     shutil.copy(FLIGHT, folder / "real.mcap")
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
-        url = f"http://127.0.0.1:{port}/api/logs/real.mcap/replay"
+        url = f"http://127.0.0.1:{port}/api/logs/real.mcap/view"
         with pytest.raises(httpx.ReadTimeout):
-            httpx.post(url, timeout=0.2)
-        assert httpx.post(url, timeout=WAIT_S).status_code in (200, 503)
-        until(lambda: httpx.post(url, timeout=WAIT_S).status_code != 503)
+            httpx.get(url, timeout=0.2)
+        assert httpx.get(url, timeout=WAIT_S).status_code in (200, 503)
+        until(lambda: httpx.get(url, timeout=WAIT_S).status_code != 503)
 
 
 @pytest.mark.slow
@@ -234,14 +216,6 @@ def test_a_log_is_viewed_as_a_sandboxed_page(client, folder):
     refused = client.get("/api/logs/flight.mcap/view")  # of random bytes
     assert (refused.status_code, "flight.mcap" in refused.json()["detail"]) == (422, True)
     assert client.get("/api/logs/none.mcap/view").status_code == 404
-
-
-def test_a_replay_process_has_a_low_priority():
-    program = replay_process._PROGRAM.partition("from softarm")[0] + (
-        "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"
-    )
-    done = subprocess.run([sys.executable, "-c", program, "x", "5"], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["10", str(os.SCHED_OTHER), "1000"]
 
 
 def test_reports_are_shown_in_a_sandbox(client, config):

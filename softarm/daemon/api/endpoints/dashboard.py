@@ -29,7 +29,8 @@ STOP_PORT = '<meta name="stop-port" content="{port}">'
 HOST = re.compile(r"([A-Za-z0-9.-]+)(:\d+)?")  # a content security policy cannot name an IPv6 address
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
-    "manifest-src 'self'; connect-src 'self'{stop}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "manifest-src 'self'; frame-src 'self'; connect-src 'self'{stop}; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'"
 )
 # Browsers revalidate a file each time and get 304 if it is unchanged.
 HEADERS = {

@@ -5,11 +5,12 @@ import contextlib
 import os
 import re
 import stat
+import tempfile
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO
 from urllib.parse import quote
 
 import anyio.to_thread
@@ -22,39 +23,38 @@ from softarm.daemon.api.refusals import Refused, answers, content, json_response
 from softarm.daemon.api.workers import Workers
 from softarm.daemon.logbook import incidents
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.runtime import replay_process
+from softarm.daemon.runtime.jobs import JobError
+from softarm.daemon.runtime.verb_process import VerbProcess
 from softarm.recordings import finishing
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
-from softarm.schemas.rest import IncidentsAnswer, LogDeleted, LogsAnswer, ReplayAnswer, ReportEntry, ReportsAnswer
-
-Result = TypeVar("Result")
+from softarm.schemas.rest import IncidentsAnswer, LogDeleted, LogsAnswer, ReportEntry, ReportsAnswer
 
 LISTINGS_MAX, LISTING_S = 8, 30.0
 DOWNLOADS_MAX = 4
 CHUNK_BYTES = 131_072
 OPEN = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # neither follow a link nor block on a pipe
-REPLAY_S = 300.0
-POLL_S = 0.5  # between checks whether the client of a replay is still connected
+VIEW_S = 300.0  # longest time to make a player page
+POLL_S = 0.5  # between checks whether the client of a player page is still connected
 HEADERS = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
 NAME = r"[^/\x00-\x1f\x7f.][^/\x00-\x1f\x7f]*"
 NAMES = {"log": re.compile(rf"{NAME}\.mcap"), "report": re.compile(rf"{NAME}\.html")}
 # A report contains scripts. The sandbox gives it no origin, so its requests carry no cookie and get no answer.
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data:; font-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "img-src data:; font-src data:; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
 
 
 class Files:
-    """Endpoints that list, send, replay and delete files."""
+    """Endpoints that list, send, show and delete files."""
 
     def __init__(self, config: Config, recorder: Recorder | None) -> None:
         self._logs = config.recorder.directory.absolute()
         self._reports = config.api.reports.absolute()
         self._recorder = recorder
         self._working = Workers(LISTINGS_MAX, LISTING_S)
-        self._replaying = Workers(1, REPLAY_S + 10.0)
+        self._viewing = Workers(1, VIEW_S + 10.0)
         self._downloads = 0
 
     def router(self) -> APIRouter:
@@ -64,8 +64,6 @@ class Files:
         router.get("/api/logs", responses=answers(LogsAnswer, 503, 504))(self.logs)
         router.get("/api/logs/{name}", responses=answers(mcap, 404, 409, 503, 504))(self.log)
         router.delete("/api/logs/{name}", responses=answers(LogDeleted, 404, 409, 503, 504))(self.delete_log)
-        replayed = answers(ReplayAnswer, 404, 409, 422, 503, 504)
-        router.post("/api/logs/{name}/replay", responses=replayed)(self.replay_log)
         shown = answers(page, 404, 409, 422, 503, 504)
         router.get("/api/logs/{name}/view", responses=shown)(self.view_log)
         router.get("/api/incidents", responses=answers(IncidentsAnswer, 503, 504))(self.incidents)
@@ -86,42 +84,44 @@ class Files:
     async def log(self, name: str) -> Response:
         """Download a log. Of the log being recorded, download what is written so far."""
         saved = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
-        return await self._download(_path(self._logs, name, "log"), "application/octet-stream", saved)
+        return await self._download(path_of(self._logs, name, "log"), "application/octet-stream", saved)
 
     async def delete_log(self, request: Request, name: str) -> Response:
         """Delete a log. The log being recorded cannot be deleted."""
-        path = _path(self._logs, name, "log")
+        path = path_of(self._logs, name, "log")
         await self._working.run("deleting a log", partial(_delete, path))
         if self._recorder is not None:
             self._recorder.done("delete_log", f"delete log {name}", request.scope[WHO])
         return json_response(LogDeleted(name=name).model_dump_json())
 
-    async def replay_log(self, request: Request, name: str) -> Response:
-        """Replay a log in a separate process and compare all commands bit for bit. Takes up to five minutes."""
-        replay = replay_process.Replay(_path(self._logs, name, "log"), REPLAY_S)
-        answer = await self._processed(request, "replaying a log", replay, replay.run)
-        return json_response(answer.model_dump_json())
-
     async def view_log(self, request: Request, name: str) -> Response:
-        """Return the player page of a log, sandboxed, made in a separate process. Shares the limits of a replay."""
-        made = replay_process.Replay(_path(self._logs, name, "log"), REPLAY_S, page=True)
-        page = await self._processed(request, "making a player page", made, made.output)
+        """Return the player page of a log, sandboxed. Made in a separate process, one at a time."""
+        path = path_of(self._logs, name, "log")
+        opened(path)[0].close()
+        with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+            made = Path(folder, "page.html")
+            verb = VerbProcess("logs", "view", str(path), "--no-open", "--out", str(made), limit_s=VIEW_S)
+            await self._finished(request, verb)
+            page = made.read_bytes()
         return Response(
             page, media_type="text/html; charset=utf-8", headers=HEADERS | {"Content-Security-Policy": SANDBOX}
         )
 
-    async def _processed(
-        self, request: Request, name: str, process: replay_process.Replay, run: Callable[[], Result]
-    ) -> Result:
-        """Return the result of a process, which ends when the client leaves."""
-        waiting = asyncio.create_task(self._replaying.run(name, partial(_replayed, process, run)))
+    async def _finished(self, request: Request, verb: VerbProcess) -> None:
+        """Run a verb, which ends when the client leaves, or raise Refused."""
+        waiting = asyncio.create_task(self._viewing.run("making a player page", verb.output))
         try:
             while not (await asyncio.wait({waiting}, timeout=POLL_S))[0]:
                 if await request.is_disconnected():
                     break
         finally:
-            process.end()
-        return await waiting
+            verb.end()
+        try:
+            ended = await waiting
+        except JobError as error:
+            raise Refused(504, *error.args) from error
+        if ended.code:
+            raise Refused(422, ended.last)
 
     async def incidents(self) -> Response:
         """Return the incident files of emergency stops, newest first."""
@@ -145,12 +145,12 @@ class Files:
     async def report(self, name: str) -> Response:
         """Return a report as a sandboxed page, which can load nothing else."""
         sandbox = {"Content-Security-Policy": SANDBOX}
-        return await self._download(_path(self._reports, name, "report"), "text/html; charset=utf-8", sandbox)
+        return await self._download(path_of(self._reports, name, "report"), "text/html; charset=utf-8", sandbox)
 
     async def _download(self, path: Path, kind: str, headers: dict[str, str]) -> Response:
         if self._downloads >= DOWNLOADS_MAX:
             raise Refused(503, f"{DOWNLOADS_MAX} downloads are running already: retry when one has finished")
-        file, size = await self._working.run("opening a file", partial(_opened, path))
+        file, size = await self._working.run("opening a file", partial(opened, path))
         headers |= HEADERS | {"Content-Length": str(size)}
         self._downloads += 1
         return _Sent(file, size, kind, headers, self._sent)
@@ -183,7 +183,7 @@ class _Sent(StreamingResponse):
             self._file.close()
 
 
-def _path(directory: Path, name: str, kind: str) -> Path:
+def path_of(directory: Path, name: str, kind: str) -> Path:
     """Return the path of a file in the directory itself. Raises Refused for any other name."""
     if not NAMES[kind].fullmatch(name):
         raise _missing(name, kind)
@@ -194,7 +194,7 @@ def _missing(name: str, kind: str) -> Refused:
     return Refused(404, f"no {kind} '{name[:60]}'; GET /api/{kind.partition(' ')[0]}s lists them")
 
 
-def _opened(path: Path) -> tuple[BinaryIO, int]:
+def opened(path: Path) -> tuple[BinaryIO, int]:
     """Return an open file and its present size. Raises Refused."""
     kind = "log" if path.suffix == ".mcap" else "report"
     try:
@@ -212,7 +212,7 @@ def _opened(path: Path) -> tuple[BinaryIO, int]:
 
 def _delete(path: Path) -> None:
     """Delete a log, or raise Refused."""
-    file, _ = _opened(path)
+    file, _ = opened(path)
     with file:
         if finishing.is_held(path):
             raise Refused(409, f"{path.name} is being recorded: delete it when it is finished")
@@ -220,17 +220,6 @@ def _delete(path: Path) -> None:
             path.unlink()
         except OSError as error:
             raise Refused(409, f"{path}: cannot be deleted ({error.strerror}); check its folder's mode") from error
-
-
-def _replayed(replay: replay_process.Replay, run: Callable[[], Result]) -> Result:
-    """Return the result of a replay or player page, or raise Refused."""
-    _opened(replay.path)[0].close()
-    try:
-        return run()
-    except replay_process.ReplayError as error:
-        raise Refused(422, str(error)) from error
-    except TimeoutError as error:
-        raise Refused(504, f"{error}; `softarm logs replay` on the machine itself has no time limit") from error
 
 
 def _reports(directory: Path) -> tuple[ReportEntry, ...]:

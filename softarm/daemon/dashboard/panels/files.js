@@ -1,11 +1,10 @@
 // Panels for this robot's files: logs, incidents and reports.
 
-import { ask, post } from "../link/api.js";
+import { ask } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
 import { Panel } from "./panel.js";
 
-const REPLAY_S = 310; // the daemon's own limit is 300 s
 const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;
 const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
 
@@ -18,9 +17,10 @@ function entry(name, more, ...buttons) {
 const link = (href, text, properties) => el("a", { class: "button small", href, ...properties }, text);
 
 export class Logs extends Panel {
-  constructor() {
+  // replay(name) starts a replay of a log.
+  constructor(replay) {
     super("Logs", "api/logs");
-    this.messages = new Map(); // name of a log -> the place of its answer, which a reload of the list keeps
+    this.replay = replay;
   }
 
   fill({ directory, logs }) {
@@ -34,25 +34,9 @@ export class Logs extends Panel {
     const made = entry(log.name, `${clock(log.modified, true)} · ${bytes(log.bytes)} · ${length}`,
       link(path("logs", log.name), "Download", { download: log.name, "aria-label": `Download ${log.name}` }),
       link(`${path("logs", log.name)}/view`, "View", { target: "_blank", rel: "noopener", "aria-label": `View ${log.name}` }),
-      button("Replay", () => this.replay(log, made.message)),
+      button("Replay", () => this.replay(log.name)),
       button("Delete", (pressed) => this.confirm(log, pressed, made.message)));
-    const kept = this.messages.get(log.name);
-    if (kept) {
-      made.message.replaceWith(kept);
-      made.message = kept;
-    }
     return made.row;
-  }
-
-  async replay(log, message) {
-    this.messages.set(log.name, message);
-    message.textContent = "Replaying. This takes up to five minutes …";
-    try {
-      const answer = await post(`${path("logs", log.name)}/replay`, undefined, { seconds: REPLAY_S });
-      message.textContent = `${answer.same ? "✓ Same commands" : "✕ Different commands"}. ${answer.sentences.map(sentence).join(". ")}`;
-    } catch (error) {
-      message.textContent = words(error);
-    }
   }
 
   // Ask for confirmation in the button itself: a dialog would cover Stop.
@@ -75,7 +59,6 @@ export class Logs extends Panel {
     message.textContent = "Deleting …";
     try {
       await ask("DELETE", path("logs", log.name), undefined, { raw: true });
-      this.messages.delete(log.name);
       await this.open();
     } catch (error) {
       message.textContent = words(error);

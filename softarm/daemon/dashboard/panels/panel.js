@@ -17,10 +17,14 @@ export class Panel {
   async open() {
     if (!this.place.childElementCount) this.place.replaceChildren(el("p", { class: "hint" }, "Loading …"));
     try {
-      this.fill(await get(this.path, { seconds: LISTING_S }));
+      this.fill(await this.load());
     } catch (error) {
       this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${(error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ")}`));
     }
+  }
+
+  load() {
+    return get(this.path, { seconds: LISTING_S });
   }
 
   show(...children) {

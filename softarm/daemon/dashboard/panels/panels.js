@@ -3,13 +3,16 @@
 import { $, el } from "../view/dom.js";
 import { EventsPanel, GoalsPanel } from "./events.js";
 import { Incidents, Logs, Reports } from "./files.js";
+import { Jobs } from "./jobs.js";
 import { Policies } from "./policies.js";
 
 export class Panels {
   // swings: shows the swing of a goal.
   constructor(follower, swings) {
     this.follower = follower;
-    this.all = [new Policies(), new GoalsPanel(follower, swings), new EventsPanel(this.follower), new Logs(), new Incidents(), new Reports()];
+    const jobs = new Jobs(follower);
+    const replay = (log) => { this.choose(jobs); jobs.start({ kind: "replay", log }); };
+    this.all = [new Policies(), new GoalsPanel(follower, swings), new EventsPanel(follower), jobs, new Logs(replay), new Incidents(), new Reports()];
     this.all.forEach((panel, k) => this.addTab(panel, k));
     this.choose(this.all[0]);
   }

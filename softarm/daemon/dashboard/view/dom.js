@@ -29,7 +29,7 @@ export function render(node, key, make) {
   node.replaceChildren(...[make()].flat().filter(Boolean));
 }
 
-// Replace the children that differ and keep the equal ones, wherever they stand now. A click on an element that is replaced
+// Replace the children that differ and keep the equal ones and those of the same data-key, wherever they stand now. A click on an element that is replaced
 // while the button is down is lost.
 export function update(node, children) {
   const unused = [...node.children];
@@ -42,11 +42,11 @@ export function update(node, children) {
   kept.forEach((child, k) => {
     if (child === next) next = next.nextElementSibling;
     else node.insertBefore(child, next);
-    if (child !== children[k] && child.tagName === "UL") update(child, [...children[k].children]);
+    if (child !== children[k] && (child.tagName === "UL" || child.dataset.key)) update(child, [...children[k].children]);
   });
 }
 
-const alike = (old, child) => (old.tagName === "UL" && child.tagName === "UL") || old.isEqualNode(child);
+const alike = (old, child) => (old.tagName === "UL" && child.tagName === "UL") || (old.dataset.key && old.dataset.key === child.dataset.key) || old.isEqualNode(child);
 
 export const finite = (value) => typeof value === "number" && Number.isFinite(value);
 

@@ -1,0 +1,145 @@
+"""Jobs over the API: replay, diagnosis and excitation, one at a time."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime import verb_process
+from softarm.daemon.runtime.jobs import Done, JobError, Jobs
+from softarm.schemas.config import Config
+from tests.processes import gone, until
+
+FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
+REPLAY = {"kind": "replay", "log": "real.mcap"}
+
+
+@pytest.fixture
+def config(tmp_path):
+    shutil.copy(FLIGHT, tmp_path / "real.mcap")
+    (tmp_path / "noise.mcap").write_bytes(os.urandom(5000))
+    return Config(recorder={"directory": tmp_path}, api={"reports": tmp_path / "reports"})
+
+
+@pytest.fixture
+def jobs():
+    made = Jobs()
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def client(loop, app, client_of, config, jobs):
+    return client_of(app(loop, config, jobs=jobs, recorder=Recorder(config)))
+
+
+def ended(client) -> dict:
+    until(lambda: client.get("/api/jobs").json()["jobs"][0]["state"] != "running", "the end of a job")
+    return client.get("/api/jobs").json()["jobs"][0]
+
+
+@pytest.fixture
+def pausing(monkeypatch):
+    """Replace every verb by a process that prints a line of progress and waits."""
+    program = verb_process._PROGRAM.partition("from softarm")[0]
+    program += (
+        "sys.stderr.write(f'fitting (40 %, about 9 s left) {os.getpid()}\\n'); sys.stderr.flush(); signal.pause()"
+    )
+    monkeypatch.setattr(verb_process, "_PROGRAM", program)
+
+
+@pytest.mark.slow
+def test_a_replay_answers_as_the_command_line_does(client, config):
+    started = client.post("/api/jobs", json=REPLAY)
+    assert (started.status_code, started.json()["state"]) == (200, "running")
+    job = ended(client)
+    command = [sys.executable, "-m", "softarm.cli.main", "logs", "replay", str(config.recorder.directory / "real.mcap")]
+    verb = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (job["state"] == "done") is (verb.returncode == 0)
+    assert "\n".join(job["sentences"]) == verb.stdout.strip()
+    client.post("/api/jobs", json={"kind": "replay", "log": "noise.mcap"})
+    job = ended(client)
+    assert (job["state"], "noise.mcap" in job["sentences"][-1]) == ("failed", True)
+
+
+def test_a_job_shows_its_progress_and_excludes_others_until_it_is_cancelled(client, jobs, pausing):
+    client.post("/api/jobs", json={"kind": "diagnose", "logs": ["real.mcap"]})
+    until(lambda: jobs.entries[0].share == 0.4, "a line of progress")
+    pid = int(jobs.entries[0].progress.rpartition(" ")[2])
+    busy = client.post("/api/jobs", json=REPLAY)
+    assert (busy.status_code, busy.json()["reasons"][0]) == (
+        409,
+        "job 1 (diagnosis of real.mcap) is running: wait for its end or cancel it",
+    )
+    assert client.request("DELETE", "/api/jobs/1").status_code == 200
+    job = ended(client)
+    assert (job["state"], job["report"], job["sentences"]) == ("cancelled", None, [])
+    assert gone(pid)
+    assert client.request("DELETE", "/api/jobs/7").status_code == 404
+    assert client.post("/api/jobs", json=REPLAY).json()["number"] == 2
+
+
+def test_a_job_ends_with_the_daemon(client, jobs, pausing):
+    client.post("/api/jobs", json=REPLAY)
+    until(lambda: jobs.entries[0].progress)
+    pid = int(jobs.entries[0].progress.rpartition(" ")[2])
+    jobs.stop()
+    until(lambda: gone(pid))
+
+
+class Raises:
+    """Work that fails in a given way."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def run(self, progress):
+        if self.error is None:
+            return Done(("well",))
+        raise self.error
+
+    def end(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("error", "state", "sentence"),
+    [
+        (None, "done", "well"),
+        (JobError("the robot stopped"), "failed", "the robot stopped"),
+        (ValueError("3"), "failed", "a defect in softarm: ValueError: 3; see the service's log"),
+    ],
+)
+def test_a_job_keeps_its_result(jobs, error, state, sentence):
+    jobs.start("replay", "replay of x", Raises(error))
+    until(lambda: jobs.entries[0].ended)
+    assert (jobs.entries[0].state, jobs.entries[0].sentences) == (state, (sentence,))
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "reason"),
+    [
+        ({"kind": "excite", "excitation": "sed"}, 404, "no excitation 'sed'; did you mean seed?"),
+        ({"kind": "replay", "log": "../x.mcap"}, 404, "no log '../x.mcap'"),
+        ({"kind": "diagnose", "logs": []}, 422, "logs: must be a list of one to 20 texts; GET /api/logs lists"),
+        ({"kind": "diagnose", "logs": [3]}, 422, "logs: must be a list of one to 20 texts"),
+        ({"kind": "excite"}, 422, "excitation: missing; must be text; GET /api/jobs lists the names"),
+        ({"kind": "dance"}, 422, "kind: must be 'excite', 'diagnose' or 'replay'"),
+    ],
+)
+def test_a_wrong_job_is_refused_with_the_allowed_values(client, body, status, reason):
+    answer = client.post("/api/jobs", json=body)
+    assert answer.status_code == status
+    assert answer.json()["reasons"][0].startswith(reason)
+
+
+def test_a_verbs_process_has_a_low_priority():
+    program = verb_process._PROGRAM.partition("from softarm")[0] + (
+        "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"
+    )
+    done = subprocess.run([sys.executable, "-c", program, "5"], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["10", str(os.SCHED_OTHER), "1000"]
