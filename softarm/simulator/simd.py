@@ -3,13 +3,15 @@
 The compiler's vectoriser gives up on a loop over lanes whose rows are chosen at run time (measured: 9 times slower).
 With this type the kernel is written as if for one robot, and every operation is SIMD.
 
-    x = load(memory, row, lanes)      # memory: flat array of rows, `lanes`: a tuple as long as a row
+    x = load(memory, row, lanes)      # memory: `Rows` of a block, `lanes`: a tuple as long as a row
     store(memory, row, lanes, select(x > 0.0, x * x, 0.5 - x))
 
 Vectors take + - * / and comparisons with each other and with scalars. They live in compiled functions only.
 
-A vector of one lane is a scalar: on a graphics card each thread computes one lane (cuda/stepper.py). Its memory may
-then be a strided array.
+A sum with a product is a fused multiply-add. It is chosen here and not by the compiler, so that the bits do not depend
+on the number of lanes.
+
+A vector of one lane is a scalar: on a graphics card each thread computes one lane (cuda/stepper.py).
 """
 
 # The arguments of code generators are numba's own types.
@@ -45,6 +47,12 @@ class _VectorModel(models.PrimitiveModel):
 def _llvm(vector: Vector) -> ir.VectorType:
     elements = {types.float32: ir.FloatType(), types.float64: ir.DoubleType(), types.boolean: ir.IntType(1)}
     return ir.VectorType(elements[vector.element], vector.width) if vector.width > 1 else elements[vector.element]
+
+
+def _suffix(kind: ir.Type) -> str:
+    """Return how LLVM's function names end for a type."""
+    width, element = (f"v{kind.count}", kind.element) if isinstance(kind, ir.VectorType) else ("", kind)
+    return f"{width}f{64 if element == ir.DoubleType() else 32}"
 
 
 def _splat(context, builder, value, value_type, vector):
@@ -88,8 +96,42 @@ def _mask(vector: Vector) -> Vector:
     return Vector(types.boolean, vector.width)
 
 
-_define(operator.add, lambda b, x, y: b.fadd(x, y))
-_define(operator.sub, lambda b, x, y: b.fsub(x, y))
+def _factors(value: ir.Value) -> tuple[ir.Value, ir.Value] | None:
+    """Return the factors of a value that the same expression has just multiplied, else None."""
+    return tuple(value.operands) if getattr(value, "opname", "") == "fmul" else None
+
+
+def _fused(builder, x, y, z):
+    """Return x * y + z, rounded once."""
+    called = ir.FunctionType(x.type, [x.type] * 3)
+    name = f"llvm.fma.{_suffix(x.type)}"
+    return builder.call(cgutils.get_or_insert_function(builder.module, called, name), (x, y, z))
+
+
+def _negative(builder, x):
+    # Cards do not know LLVM's `fneg`.
+    zero = ir.Constant(x.type, [-0.0] * x.type.count if isinstance(x.type, ir.VectorType) else -0.0)
+    return builder.fsub(zero, x)
+
+
+def _sum(builder, x, y):
+    if factors := _factors(y):
+        return _fused(builder, *factors, x)
+    if factors := _factors(x):
+        return _fused(builder, *factors, y)
+    return builder.fadd(x, y)
+
+
+def _difference(builder, x, y):
+    if factors := _factors(y):
+        return _fused(builder, _negative(builder, factors[0]), factors[1], x)
+    if factors := _factors(x):
+        return _fused(builder, *factors, _negative(builder, y))
+    return builder.fsub(x, y)
+
+
+_define(operator.add, _sum)
+_define(operator.sub, _difference)
 _define(operator.mul, lambda b, x, y: b.fmul(x, y))
 _define(operator.truediv, lambda b, x, y: b.fdiv(x, y))
 _define(operator.lt, lambda b, x, y: b.fcmp_ordered("<", x, y), _mask)
@@ -98,20 +140,45 @@ _define(operator.ge, lambda b, x, y: b.fcmp_ordered(">=", x, y), _mask)
 _define(operator.ne, lambda b, x, y: b.fcmp_unordered("!=", x, y), _mask)
 
 
+class Rows(types.CPointer):  # type: ignore[name-defined]
+    """Pointer to rows of numbers, `stride` numbers apart; unlike an array it counts no references."""
+
+    def __init__(self, element: types.Type, stride: int) -> None:
+        super().__init__(element)
+        self.stride = stride
+        self.name = f"Rows({element}, {stride})"
+
+    @property
+    def key(self) -> tuple[types.Type, int]:
+        """Return the element type and the stride, which identify the type."""
+        return self.dtype, self.stride
+
+
+register_model(Rows)(models.PointerModel)
+
+
+@intrinsic
+def block(typingctx, memory, number, lanes):
+    """Return the rows of a block of a memory [blocks, rows * lanes]."""
+
+    def build(context, builder, sig, args):
+        array = context.make_array(memory)(context, builder, args[0])
+        stride = cgutils.unpack_tuple(builder, array.strides)[0]
+        number = context.cast(builder, args[1], sig.args[1], types.intp)
+        return cgutils.pointer_add(builder, array.data, builder.mul(number, stride))
+
+    return Rows(memory.dtype, len(lanes))(memory, number, lanes), build
+
+
 def _row(context, builder, memory_type, memory, row, vector):
-    """Return a pointer to a row of a flat array."""
-    array = context.make_array(memory_type)(context, builder, memory)
-    if vector.width == 1:
-        first = builder.bitcast(array.data, ir.IntType(8).as_pointer())
-        offset = builder.mul(row, builder.extract_value(array.strides, 0))
-        return builder.bitcast(builder.gep(first, [offset]), array.data.type)
-    start = builder.mul(row, ir.Constant(row.type, vector.width))
-    return builder.bitcast(builder.gep(array.data, [start]), _llvm(vector).as_pointer())
+    """Return a pointer to a row, as a vector."""
+    start = builder.mul(row, ir.Constant(row.type, memory_type.stride))
+    return builder.bitcast(builder.gep(memory, [start]), _llvm(vector).as_pointer())
 
 
 @intrinsic
 def load(typingctx, memory, row, lanes):
-    """Read a row of a flat array."""
+    """Read a row of a block."""
     vector = Vector(memory.dtype, len(lanes))
 
     def build(context, builder, sig, args):
@@ -124,7 +191,7 @@ def load(typingctx, memory, row, lanes):
 
 @intrinsic
 def store(typingctx, memory, row, lanes, value):
-    """Write a row of a flat array; a scalar goes to every lane."""
+    """Write a row of a block; a scalar goes to every lane."""
     vector = Vector(memory.dtype, len(lanes))
 
     def build(context, builder, sig, args):
@@ -180,9 +247,7 @@ def _function(name):
         def build(context, builder, sig, args):
             kind = _llvm(x)
             called = ir.FunctionType(kind, [kind])
-            full = f"llvm.{name}.v{x.width}f{x.element.bitwidth}"
-            if x.width == 1:
-                full = f"__nv_{name}f"  # of CUDA's own library
+            full = f"llvm.{name}.{_suffix(kind)}" if x.width > 1 else f"__nv_{name}f"  # of CUDA's own library
             return builder.call(cgutils.get_or_insert_function(builder.module, called, full), args)
 
         return x(x), build

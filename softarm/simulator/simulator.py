@@ -114,7 +114,6 @@ class Simulator:
         blocks = -(-robots // width)
         self._real = dtype
         self._memory = _aligned(blocks, self._at.end * width, dtype)
-        self._scratch = _aligned(numba.config.NUMBA_NUM_THREADS, self._at.scratch_end * width, dtype)
         self._rows = self._memory.reshape(blocks, self._at.end, width)
         self._rows[:, self._at.shelf_y] = NOWHERE_M
         self._advance = kernel.advance if blocks < PARALLEL_BLOCKS else _advance_on_all_cores()
@@ -409,7 +408,7 @@ class Simulator:
         active |= given
         parts = (0,) if active else ()
         dt = self._real(substep_s)
-        entry(self._memory, self._scratch, self._links, self._lanes, parts, active, substeps, dt)
+        entry(self._memory, self._links, self._lanes, parts, active, substeps, dt)
         self._located = False
         self.time_s += duration_s
 
@@ -435,10 +434,10 @@ class Simulator:
         threads = threads or min(numba.get_num_threads(), len(self._rows))
         edges = np.linspace(0, len(self._rows), threads + 1).astype(int).tolist()
 
-        def entry(memory: Array, scratch: Array, *arguments: Any) -> None:
+        def entry(memory: Array, *arguments: Any) -> None:
             def part(i: int) -> None:
                 a, b = edges[i : i + 2]
-                function(memory[a:b], scratch[i : i + 1], *arguments, a * width, *arrays, *further, path)
+                function(memory[a:b], *arguments, a * width, *arrays, *further, path)
 
             if threads == 1:
                 part(0)

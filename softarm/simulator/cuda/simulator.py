@@ -111,10 +111,9 @@ class TensorSimulator:
             self._step(self._substeps, self._substep_s)
             return
         memory, (links, lanes) = self._memory.numpy(), self._lengths
-        scratch = np.zeros((1, self._at.scratch_end * LANES), np.float32)
         parts = (0,) if self.active else ()
         dt = np.float32(self._substep_s)
-        kernel.advance(memory, scratch, links, lanes, parts, self.active, self._substeps, dt)
+        kernel.advance(memory, links, lanes, parts, self.active, self._substeps, dt)
         kernel.locate(memory, links, lanes)
 
     @property

@@ -12,12 +12,11 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from softarm.simulator.kernel.arm import locate_block
-from softarm.simulator.kernel.layout import rows
 from softarm.simulator.kernel.run import advance_block
+from softarm.simulator.simd import Rows
 
 LANES = 32
 # Measured on an NVIDIA H100: docs/training/simulator.md.
@@ -27,28 +26,17 @@ MISSING = "simulating on a graphics card needs numba-cuda; install softarm[cuda]
 
 @intrinsic
 def lane_of(typingctx, memory, robot):
-    """Return one robot's lane of a memory [blocks, rows * LANES] as a strided array with an entry a row."""
-    lane = types.Array(memory.dtype, 1, "A")
-    size = memory.dtype.bitwidth // 8
-
-    def number(value):
-        return ir.Constant(ir.IntType(64), value)
+    """Return the rows of one robot's lane of a memory [blocks, rows * LANES]."""
 
     def build(context, builder, sig, args):
         array = context.make_array(sig.args[0])(context, builder, args[0])
         robot = context.cast(builder, args[1], sig.args[1], types.int64)
-        block, place = builder.sdiv(robot, number(LANES)), builder.srem(robot, number(LANES))
+        width = ir.Constant(robot.type, LANES)
+        block, place = builder.sdiv(robot, width), builder.srem(robot, width)
         first = builder.add(builder.mul(block, builder.extract_value(array.shape, 1)), place)
-        made = context.make_array(lane)(context, builder)
-        made.data = builder.gep(array.data, [first])
-        # Constants, so that every row's address is a constant offset.
-        made.strides = cgutils.pack_array(builder, [number(LANES * size)])
-        made.shape, made.nitems = cgutils.pack_array(builder, [number(0)]), number(0)
-        made.itemsize = number(size)
-        made.meminfo, made.parent = ir.Constant(made.meminfo.type, None), ir.Constant(made.parent.type, None)
-        return made._getvalue()
+        return builder.gep(array.data, [first])
 
-    return lane(memory, robot), build
+    return Rows(memory.dtype, LANES)(memory, robot), build
 
 
 def stepper(memory: Any, robots: int, links: int, active: int) -> Callable[[int, float], None]:
@@ -96,17 +84,16 @@ def numba_cuda() -> Any:
 
 def entry(links: int, active: int) -> Callable[..., None]:
     """Return the Python function of the kernel, for `numba.cuda.jit`."""
-    from numba import cuda, float32
+    from numba import cuda
 
     tuple_of_links = (0,) * links
     parts = (0,) if active else ()
-    scratch = rows(tuple_of_links).scratch_end
 
     def advance(memory, robots, substeps, dt):
         robot = cuda.grid(1)
         if robot < robots:
-            m, w = lane_of(memory, robot), cuda.local.array(scratch, float32)
-            advance_block(m, w, tuple_of_links, (0,), parts, active, substeps, dt)
+            m = lane_of(memory, robot)
+            advance_block(m, tuple_of_links, (0,), parts, active, substeps, dt)
             locate_block(m, tuple_of_links, (0,))
 
     return advance

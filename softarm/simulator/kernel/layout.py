@@ -5,7 +5,10 @@
 from collections import namedtuple
 from typing import Any
 
-from numba.extending import overload
+from numba.core import cgutils
+from numba.extending import intrinsic, overload
+
+from softarm.simulator.simd import Rows as Pointer
 
 # The largest number of pending commands of one kind, plus the one in force.
 HISTORY = 16
@@ -178,3 +181,16 @@ def rows(links: tuple[int, ...]) -> Any:
 def _rows(links):
     at = rows((0,) * len(links))  # frozen: constants to the compiler
     return lambda links: at
+
+
+@intrinsic
+def scratch(typingctx, m, links, lanes):
+    """Return a pointer to a thread's own rows for one step, on its stack."""
+    size = rows((0,) * len(links)).scratch_end * len(lanes)
+
+    def build(context, builder, sig, args):
+        memory = cgutils.alloca_once(builder, context.get_value_type(m.dtype), size=size)
+        memory.align = 64
+        return memory
+
+    return Pointer(m.dtype, len(lanes))(m, links, lanes), build

@@ -3,10 +3,10 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
-from numba import get_thread_id, prange
+from numba import prange
 
 from softarm.simulator.kernel.arm import assemble, limit_drive, locate_block, solve
-from softarm.simulator.kernel.compiled import compiled
+from softarm.simulator.kernel.compiled import compiled, entry
 from softarm.simulator.kernel.contact import add_shelf
 from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
 from softarm.simulator.kernel.layout import (
@@ -20,11 +20,12 @@ from softarm.simulator.kernel.layout import (
     SHELF,
     TILT,
     rows,
+    scratch,
 )
 from softarm.simulator.kernel.numerics import clip
 from softarm.simulator.kernel.pressure import age, issue
 from softarm.simulator.kernel.rail import settle_cart
-from softarm.simulator.simd import load, store
+from softarm.simulator.simd import block, load, store
 
 # Cap on rates, far beyond the robot's (its links turn at up to 30 rad/s). It keeps a light link finite when a
 # parameter within its bounds makes the step too coarse.
@@ -51,9 +52,9 @@ def grow_older(m, lanes, at, active, duration):
 
 
 @compiled
-def advance_block(m, w, links, lanes, parts, active, substeps, dt):
+def advance_block(m, links, lanes, parts, active, substeps, dt):
     """Advance one block by `substeps` substeps of `dt` seconds under its commands."""
-    at, h = rows(links), 0.5 * dt
+    at, h, w = rows(links), 0.5 * dt, scratch(m, links, lanes)
     if len(parts) == 0:
         active = 0  # a constant to the compiler, which removes all effects
     issue_commands(m, lanes, at, active)
@@ -87,13 +88,12 @@ def advance_block(m, w, links, lanes, parts, active, substeps, dt):
     grow_older(m, lanes, at, active, substeps * dt)
 
 
-@compiled
-def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
+@entry
+def advance(memory, links, lanes, parts, active, substeps, dt):
     """Advance every block on this thread. `prepare` must have been called for this dt.
 
     Args:
         memory: [blocks, rows * lanes], changed in place.
-        scratch: [threads, rows * lanes].
         links: tuple with one entry a link; only its length counts.
         lanes: tuple with one entry a lane; only its length counts.
         parts: an empty tuple if `active` is 0, else (0,).
@@ -101,22 +101,22 @@ def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
         substeps: number of substeps.
         dt: length of a substep, s, a scalar of the memory's type.
     """
-    for block in range(memory.shape[0]):
-        advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
+    for number in range(memory.shape[0]):
+        advance_block(block(memory, number, lanes), links, lanes, parts, active, substeps, dt)
 
 
-@compiled(parallel=True)
-def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt):
+@entry(parallel=True)
+def advance_parallel(memory, links, lanes, parts, active, substeps, dt):
     """Advance every block on all cores, with the arguments of `advance`."""
-    for block in prange(memory.shape[0]):
-        advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
+    for number in prange(memory.shape[0]):
+        advance_block(block(memory, number, lanes), links, lanes, parts, active, substeps, dt)
 
 
-@compiled(nogil=True)
-def fly(memory, scratch, links, lanes, parts, active, substeps, dt, first, velocity, pressure, path):
+@entry(nogil=True)
+def fly(memory, links, lanes, parts, active, substeps, dt, first, velocity, pressure, path):
     """Advance every block on this thread through a whole plan, without holding Python's lock.
 
-    Blocks are advanced one after the other, so that a block's rows stay in the nearest cache. The first eight
+    Blocks are advanced one after the other, so that a block's rows stay in the nearest cache. The first seven
     arguments are those of `advance`.
 
     Args:
@@ -126,13 +126,13 @@ def fly(memory, scratch, links, lanes, parts, active, substeps, dt, first, veloc
         path: [steps, 4, robots], set to the cart's y and velocity and the tip's y and z at the end of every step.
     """
     at, n, width = rows(links), len(links), len(lanes)
-    for block in range(memory.shape[0]):
-        m, robot = memory[block], first + block * width
+    for number in range(memory.shape[0]):
+        m, robot = block(memory, number, lanes), first + number * width
         for step in range(velocity.shape[0]):
             for k in range(min(width, velocity.shape[1] - robot)):
                 m[at.cart_command * width + k] = velocity[step, robot + k]
                 m[at.pressure_command * width + k] = pressure[step, robot + k]
-            advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
+            advance_block(m, links, lanes, parts, active, substeps, dt)
             locate_block(m, links, lanes)
             for k in range(min(width, velocity.shape[1] - robot)):
                 path[step, 0, robot + k] = m[at.q * width + k]
@@ -141,7 +141,7 @@ def fly(memory, scratch, links, lanes, parts, active, substeps, dt, first, veloc
                 path[step, 3, robot + k] = m[(at.end_z + n - 1) * width + k]
 
 
-@compiled
+@entry
 def prepare(memory, links, lanes, dt):
     """Set the rows of every block that depend only on parameters and the length of the substep."""
     n, width = len(links), len(lanes)
@@ -149,8 +149,8 @@ def prepare(memory, links, lanes, dt):
     real = type(dt)
     h = real(0.5) * dt
     times = (at.inflate, at.deflate, at.rail_lag, at.creep_time)
-    for block in range(memory.shape[0]):
-        m = memory[block]
+    for number in range(memory.shape[0]):
+        m = block(memory, number, lanes)
         for k in range(width):
             for lag in range(4):
                 time = m[times[lag] * width + k]
@@ -169,8 +169,8 @@ def prepare(memory, links, lanes, dt):
                     m[(at.diagonal + i - 1) * width + k] += implicit
 
 
-@compiled
+@entry
 def locate(memory, links, lanes):
     """Set position and velocity of every link's far end."""
-    for block in range(memory.shape[0]):
-        locate_block(memory[block], links, lanes)
+    for number in range(memory.shape[0]):
+        locate_block(block(memory, number, lanes), links, lanes)

@@ -7,12 +7,12 @@ A recording is run block after block, so that a block's rows stay in the nearest
 import numpy as np
 
 from softarm.simulator.kernel.arm import locate_block
-from softarm.simulator.kernel.compiled import compiled
+from softarm.simulator.kernel.compiled import compiled, entry
 from softarm.simulator.kernel.layout import CART_GIVEN, PRESSURE_GIVEN, RAIL, rows
 from softarm.simulator.kernel.pressure import regulate
 from softarm.simulator.kernel.rail import drive, gives_way, lacking, settle_cart
 from softarm.simulator.kernel.run import advance_block, grow_older, issue_commands
-from softarm.simulator.simd import load, store
+from softarm.simulator.simd import block, load, store
 
 
 @compiled
@@ -45,9 +45,9 @@ def _advance_cart(m, lanes, at, active, substeps, dt):
     grow_older(m, lanes, at, active, substeps * dt)
 
 
-@compiled(nogil=True)
-def fly_pressure(memory, scratch, links, lanes, parts, active, substeps, dt, first, command, late, path):
-    """Run a recording of the pressure alone; the first eight arguments are those of `advance`.
+@entry(nogil=True)
+def fly_pressure(memory, links, lanes, parts, active, substeps, dt, first, command, late, path):
+    """Run a recording of the pressure alone; the first seven arguments are those of `advance`.
 
     Args:
         first: number of the first robot of the memory.
@@ -56,8 +56,8 @@ def fly_pressure(memory, scratch, links, lanes, parts, active, substeps, dt, fir
         path: [steps, robots], set to the pressure at the start of every step, kPa.
     """
     at, width = rows(links), len(lanes)
-    for block in range(memory.shape[0]):
-        m, robot = memory[block], first + block * width
+    for number in range(memory.shape[0]):
+        m, robot = block(memory, number, lanes), first + number * width
         for step in range(command.shape[0]):
             for k in range(min(width, command.shape[1] - robot)):
                 path[step, robot + k] = m[at.pressure * width + k]
@@ -66,9 +66,9 @@ def fly_pressure(memory, scratch, links, lanes, parts, active, substeps, dt, fir
             _advance_pressure(m, lanes, at, active, substeps, dt)
 
 
-@compiled(nogil=True)
-def fly_cart(memory, scratch, links, lanes, parts, active, substeps, dt, first, command, push, late, path):
-    """Run a recording of the cart alone; the first eight arguments are those of `advance`.
+@entry(nogil=True)
+def fly_cart(memory, links, lanes, parts, active, substeps, dt, first, command, push, late, path):
+    """Run a recording of the cart alone; the first seven arguments are those of `advance`.
 
     Args:
         first: number of the first robot of the memory.
@@ -78,8 +78,8 @@ def fly_cart(memory, scratch, links, lanes, parts, active, substeps, dt, first, 
         path: [steps, robots], set to the velocity at the start of every step, m/s.
     """
     at, width = rows(links), len(lanes)
-    for block in range(memory.shape[0]):
-        m, robot = memory[block], first + block * width
+    for number in range(memory.shape[0]):
+        m, robot = block(memory, number, lanes), first + number * width
         for step in range(command.shape[0]):
             for k in range(min(width, command.shape[1] - robot)):
                 path[step, robot + k] = m[at.v * width + k]
@@ -89,11 +89,9 @@ def fly_cart(memory, scratch, links, lanes, parts, active, substeps, dt, first, 
             _advance_cart(m, lanes, at, active, substeps, dt)
 
 
-@compiled(nogil=True)
-def fly_arm(
-    memory, scratch, links, lanes, parts, active, substeps, dt, first, position, velocity, pressure, duration, path
-):
-    """Run a recording of the arm alone; the first eight arguments are those of `advance`.
+@entry(nogil=True)
+def fly_arm(memory, links, lanes, parts, active, substeps, dt, first, position, velocity, pressure, duration, path):
+    """Run a recording of the arm alone; the first seven arguments are those of `advance`.
 
     Within a step the cart follows the cubic through both ends and the pressure a straight line.
 
@@ -107,8 +105,8 @@ def fly_arm(
     """
     at, n, width = rows(links), len(links), len(lanes)
     steps, robots = position.shape
-    for block in range(memory.shape[0]):
-        m, robot = memory[block], first + block * width
+    for number in range(memory.shape[0]):
+        m, robot = block(memory, number, lanes), first + number * width
         for step in range(steps):
             for k in range(min(width, robots - robot)):
                 m[at.q * width + k] = position[step, robot + k]
@@ -130,4 +128,4 @@ def fly_arm(
                 m[at.cart_jerk * width + k] = (6 * (before + after) - 12 * way / duration) / (duration * duration)
                 m[at.pressure_slope * width + k] = rise / duration
                 m[at.cart_push * width + k] = 0.0
-            advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
+            advance_block(m, links, lanes, parts, active, substeps, dt)
