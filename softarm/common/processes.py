@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -33,7 +33,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def as_they_come(work: Callable[[J], R], jobs: Sequence[J], processes: int, threads: int = 1) -> Iterator[tuple[J, R]]:
+def as_they_come(work: Callable[[J], R], jobs: Sequence[J], processes: int, threads: int = 1) -> Generator[tuple[J, R]]:
     """Yield each job with the result of `work`, in order of completion; jobs begin in their order.
 
     With one process or one job, the work runs in this process. Otherwise work, jobs and results are pickled, and numba

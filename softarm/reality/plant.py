@@ -5,6 +5,7 @@ constraint, not a smooth curve), springs, dampers and air. This module computes 
 """
 
 import math
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -47,6 +48,7 @@ class Plant:
         self.chain = refine(parameters.body, arm.pieces)
         self.model = mujoco.MjModel.from_xml_string(_mjcf(parameters, self.chain, motor_kg, shelf_m))
         self.data = mujoco.MjData(self.model)
+        self._parameters, self._motor_kg, self._shelf_m = parameters, motor_kg, shelf_m
         self._arm, self._base_m = arm, parameters.body.base_height_m
         self._muscle = self.chain.muscle_gain_nm_kpa * (1 + arm.muscle_gain)
         self._offset = self.chain.torque_offset_nm * (1 + arm.torque_offset)
@@ -79,17 +81,10 @@ class Plant:
         mujoco.mj_step(self.model, data)
 
     def hang(self) -> None:
-        """Bring the arm to rest without pressure, on a clamped cart; the robot's time does not advance."""
-        model, data = self.model, self.data
-        armature, damping, cart_m = float(model.dof_armature[0]), model.dof_damping.copy(), self.cart_position_m
-        model.dof_armature[0] = CLAMPED_KG
-        # About critical damping for the slow swing.
-        model.dof_damping[1:] *= REST_DAMPING
-        data.qfrc_applied[:] = (0.0, *-self._offset)
-        mujoco.mj_step(model, data, round(REST_S * RATE_HZ))
-        model.dof_armature[0], model.dof_damping[:] = armature, damping
-        data.qpos[0], data.time = cart_m, 0.0
-        data.qvel[:] = data.qacc_warmstart[:] = 0.0
+        """Place the arm in its rest position without pressure; the robot's time does not advance."""
+        # Without a shelf the position of the cart does not change the angles.
+        cart_m = 0.0 if self._shelf_m is None else self.cart_position_m
+        self.data.qpos[1:] = _rest_angles_rad(self._parameters, self._motor_kg, cart_m, self._shelf_m)
 
     def links(self) -> tuple[Array, Array]:
         """Return the far ends (y, z) of the model's links, m [5, 2], and their chords' absolute angles, rad [5]."""
@@ -139,6 +134,20 @@ class Plant:
         if math.isfinite(arm.saturation_kpa):
             pressure_kpa /= (1 + abs(pressure_kpa / arm.saturation_kpa) ** 3) ** (1 / 3)
         return pressure_kpa
+
+
+@lru_cache(maxsize=8)
+def _rest_angles_rad(
+    parameters: RobotParameters, motor_kg: float, cart_m: float, shelf_m: tuple[float, float] | None
+) -> Array:
+    """Return the angles of the joints of an arm that hangs at rest on a clamped cart."""
+    plant = Plant(parameters, cart_m, True, motor_kg, shelf_m)
+    # About critical damping for the slow swing.
+    plant.model.dof_damping[1:] *= REST_DAMPING
+    plant.data.qfrc_applied[1:] = -plant._offset
+    mujoco.mj_step(plant.model, plant.data, round(REST_S * RATE_HZ))
+    angles: Array = plant.data.qpos[1:].copy()
+    return angles
 
 
 def _mjcf(parameters: RobotParameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None) -> str:

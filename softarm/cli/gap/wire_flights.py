@@ -10,11 +10,8 @@ import click
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from softarm.evaluation.closing.closed import Closed
-    from softarm.evaluation.closing.steps import Spent
+    from softarm.evaluation.closing.closed import Closed, Spent
     from softarm.evaluation.closing.wires import Twin, Wires
-
-GOALS = 18  # per policy: from rest, and as many chained
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,7 @@ class Bench:
     robot: str  # --robot, the held-out robot
     declared: bool
     yes: bool
-    goals: int
+    goals: int  # per policy: from rest, and as many chained
     out: Path
     spent: "Spent"
 

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis.engine.result import Diagnosis
+from softarm.evaluation.closing.fly import draw
 from softarm.evaluation.closing.outcomes import (
     HELD_OUT,
-    MANNERS,
     NEW,
     NOMINAL,
     OLD,
@@ -19,7 +21,6 @@ from softarm.evaluation.closing.outcomes import (
     Flights,
     Paired,
     better,
-    joined,
     stops_more,
 )
 from softarm.evaluation.closing.wires import Wires
@@ -27,6 +28,8 @@ from softarm.evaluation.runner import Robot
 from softarm.schemas.goals import Goal
 from softarm.schemas.verdict import Task
 from softarm.training.run.retrain import Retrained
+
+Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
 
 
 @dataclass(frozen=True)
@@ -46,57 +49,57 @@ class Closed:
     diagnosis: Diagnosis
     policy: Path  # the old one
     places: tuple[Place, ...]
-    flown: Mapping[tuple[str, str, str], Flights]  # policy, place, manner
+    judged: Place  # the robot on which the ways are compared
+    flown: Mapping[tuple[str, str], Flights]  # policy, place; flight k is draw k
     retrained: Retrained | None  # None: no effect was named
-    targets: tuple[Goal, ...]
     rail: RailFindings  # measured on the campaign's rail; its patched configuration limited all flights
-    declared: bool  # the held-out robot was declared to be the campaign's robot
+    spent: Spent
     wires: Wires | None = None  # None: no flights on wires
 
     @property
-    def policies(self) -> tuple[str, ...]:
-        """Names of the flown policies, of old, new and mppi."""
-        return tuple(name for name in TITLES if any(policy == name for policy, *_ in self.flown))
-
-    @property
-    def flights(self) -> int:
-        """Number of flights of each policy in each place, from rest or chained."""
-        return int(next(iter(self.flown.values())).reached.size)
+    def ways(self) -> tuple[str, ...]:
+        """Names of the policies that were compared with the old one."""
+        return tuple(name for name in TITLES if name != OLD and (name, self.judged.key) in self.flown)
 
     def place(self, key: str) -> Place:
         """Return a place by its key. Raises StopIteration if no flight took place there."""
         return next(place for place in self.places if place.key == key)
 
-    def both(self, policy: str, place: str) -> Flights:
-        """Return a policy's flights from rest and chained."""
-        return joined([self.flown[policy, place, manner] for manner in MANNERS])
+    def of(self, policy: str, manner: str, place: str | None = None) -> Flights:
+        """Return a policy's flights that began at rest or in mid-swing, by default on the judging robot."""
+        flown = self.flown[policy, place or self.judged.key]
+        rest = np.array([draw(number).swing is None for number in range(flown.reached.size)], dtype=np.bool_)
+        return flown.chosen(rest if manner == REST else ~rest)
 
-    def won(self, place: str, new: str = NEW, old: str = OLD) -> Paired:
-        """Return by how much one policy's success exceeds another's, from rest and chained together."""
-        return better(self.both(old, place), self.both(new, place))
+    def goals(self, policy: str) -> list[Goal]:
+        """Return the goals of a policy's flights on the judging robot."""
+        return [draw(number).goal for number in range(self.flown[policy, self.judged.key].reached.size)]
 
-    def stops_more(self, place: str) -> Paired:
-        """Return by how much the new policy's share of unrequested stops exceeds the old one's."""
-        return stops_more(self.both(OLD, place), self.both(NEW, place))
+    def won(self, name: str) -> Paired:
+        """Return by how much a policy's success exceeds the old one's on the judging robot."""
+        return better(*self._pair(name))
 
-    def changed(self, place: str, manner: str) -> dict[str, int]:
-        """Count flights that only the new policy and only the old one reached; empty without a new one."""
-        if NEW not in self.policies:
-            return {}
-        old, new = (self.flown[name, place, manner].reached for name in (OLD, NEW))
-        return {"gained": int((new & ~old).sum()), "lost": int((old & ~new).sum())}
+    def stops_more(self, name: str) -> Paired:
+        """Return by how much a policy's share of unrequested stops exceeds the old one's."""
+        return stops_more(*self._pair(name))
+
+    def seconds(self, name: str) -> tuple[float, float]:
+        """Return the wall and processor seconds until a policy can fly, its flights of the comparison included."""
+        steps = {NEW: ("retrain", NEW)}.get(name, (name,)) + (() if name in ("old", "adaptive") else ("diagnose",))
+        taken = [self.spent[step] for step in steps if step in self.spent]
+        return sum(each["wall_s"] for each in taken), sum(each["cpu_s"] for each in taken)
 
     def with_task(self) -> Self:
-        """Put the old policy's success from rest into the verdict.
-
-        The success on the held-out robot counts as real only if the robot was declared to be the campaign's.
-        """
+        """Put the old policy's success into the verdict, in simulation and, if it was declared, on the robot."""
 
         def share(key: str) -> float | None:
-            found = self.flown.get((OLD, key, REST))
-            return None if found is None else found.share
+            found = self.flown.get((OLD, key))
+            return None if found is None or not found.reached.size else found.share
 
-        real = share(HELD_OUT) if self.declared else None
-        task = Task(success_real=real, success_nominal=share(NOMINAL), success_patched=share(PATCHED))
+        task = Task(success_real=share(HELD_OUT), success_nominal=share(NOMINAL), success_patched=share(PATCHED))
         verdict = self.diagnosis.verdict.model_copy(update={"task": task})
         return replace(self, diagnosis=replace(self.diagnosis, verdict=verdict))
+
+    def _pair(self, name: str) -> tuple[Flights, Flights]:
+        old, new = (self.flown[each, self.judged.key] for each in (OLD, name))
+        return old.chosen(slice(new.reached.size)), new

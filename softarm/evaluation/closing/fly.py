@@ -1,26 +1,27 @@
-"""Flights of the old, the retrained and the replanning policy to the same goals, in parallel."""
+"""Flights of two policies to the same draws, in parallel, until the decision between them is clear."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from softarm.common.processes import as_they_come, cores
-from softarm.daemon.runtime.offline import Lockstep
-from softarm.evaluation.closing.outcomes import CHAINED, REST, Flights, joined
+from softarm.evaluation.closing.outcomes import Flights, joined, settled
 from softarm.evaluation.runner import Robot, Runner, load
 from softarm.policies.base import Policy
-from softarm.schemas import flights
 from softarm.schemas.config import Config
-from softarm.schemas.flights import CART_STARTS_M, Flight, Scenario, Swing
-from softarm.schemas.goals import Goal
-from softarm.schemas.model import Model
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Scenario, Swing
 
-_PART = 9  # targets of one job and of one chain
-_ORDER_SEED = 1054
+PART = 6  # draws of one job
+MOST = 324  # draws of a comparison that stays unclear
+SLOWER = 3  # a replanning policy flies that part of the draws: each takes several times as long
+_SEED = 1054
+NONE = joined(())
 
 
 @dataclass(frozen=True)
@@ -37,103 +38,109 @@ class Replanning:
 
 
 Flown = Path | Replanning
-Key = tuple[str, str, str]  # policy, place, manner
 
 
 class Job(NamedTuple):
-    """Some flights of one policy on one robot, made by one process."""
+    """Some draws flown with one policy on one robot, by one process."""
 
-    key: Key
-    number: int  # among the jobs of the key
+    is_new: bool
+    part: int
     policy: Flown
     robot: Robot
-    scenarios: Sequence[Scenario]
     config: Config
 
 
-def at_rest(targets: Sequence[Goal]) -> list[list[Scenario]]:
-    """Return each target from rest at each cart start, in parts."""
-    grid, size = flights.grid(targets), _PART * len(CART_STARTS_M)
-    return [grid[first : first + size] for first in range(0, len(grid), size)]
+def draw(number: int) -> Scenario:
+    """Return a scenario of the paper's 54 targets; the same number gives the same scenario.
 
-
-def chains(targets: Sequence[Goal]) -> list[list[Scenario]]:
-    """Return chains of goals: each target as often as from rest, in a fixed shuffled order.
-
-    The first goal of a chain starts with a swinging arm, each later one where the previous flight ended. No target
-    follows itself.
+    Draws are independent. One half starts at rest at one of the test's cart positions, the other half in mid-swing.
     """
-    rng, parts = np.random.default_rng(_ORDER_SEED), -(-len(targets) // _PART)
-    orders = [part for _ in CART_STARTS_M for part in np.array_split(rng.permutation(len(targets)), parts)]
-    swings = iter(Swing.draw(number) for number in range(len(targets) * len(CART_STARTS_M)))
-    return [
-        [
-            Scenario(targets[which], swing.cart_start_m, which, swing=swing)
-            for which, swing in zip(order.tolist(), swings, strict=False)
-        ]
-        for order in orders
-    ]
+    rng = np.random.default_rng((_SEED, number))
+    goal = TEST_TARGETS[rng.integers(len(TEST_TARGETS))]
+    if rng.random() < 0.5:
+        return Scenario(goal, float(rng.choice(CART_STARTS_M)), number)
+    swing = Swing.draw(number)
+    return Scenario(goal, swing.cart_start_m, number, swing=swing)
 
 
-def fly_all(
-    policies: Mapping[str, Flown],
-    robots: Mapping[str, Robot],
-    pairs: Iterable[tuple[str, str]],
-    targets: Sequence[Goal],
+def most(policy: Flown, wanted: int) -> int:
+    """Return the largest number of draws of a policy, in whole jobs."""
+    draws = wanted // SLOWER if isinstance(policy, Replanning) else wanted
+    return -(-draws // PART) * PART
+
+
+def compare(
+    old: Flown,
+    new: Flown,
+    robot: Robot,
     config: Config,
-    on_progress: Callable[[str, float], None] = lambda text, share: None,
-) -> dict[Key, Flights]:
-    """Fly the (policy, robot) pairs from rest and chained, with the limits of `config`.
+    wanted: int,
+    known: Flights = NONE,
+    on_progress: Callable[[int, float], None] = lambda draws, share: None,
+) -> tuple[Flights, Flights]:
+    """Fly both policies to the same draws until `outcomes.settled`, or `wanted` draws.
 
-    The number of processes, one per core, does not change the figures of trained policies.
+    The result does not depend on the number of processes.
+
+    Args:
+        known: Flights of the old policy to the first draws, which are not repeated.
+        on_progress: Called with the number of draws and the share of the largest number.
+
+    Returns:
+        The flights of the old policy, with all known ones, and of the new one.
 
     Raises:
         PolicyError: A policy cannot be loaded.
         RuntimeError: The control loop refuses to arm.
         WorkerDied: A process ended early.
     """
-    todo = [
-        Job((policy, robot, manner), number, policies[policy], robots[robot], part, config)
-        for policy, robot in pairs
-        for manner, parts in ((REST, at_rest(targets)), (CHAINED, chains(targets)))
-        for number, part in enumerate(parts)
+    parts = most(new, wanted) // PART
+    first = known.reached.size // PART
+    jobs = [
+        Job(is_new, part, new if is_new else old, robot, config)
+        for part in range(parts)
+        for is_new in (False, True)
+        if is_new or part >= first
     ]
-    found: dict[tuple[Key, int], Flights] = {}
-    whole, done, total = sum(map(_cost, todo)), 0, sum(len(job.scenarios) for job in todo)
-    count = 0
-    on_progress(f"flying {total} flights", 0.0)
-    for job, flown in as_they_come(_fly, todo, cores()):
-        found[job.key, job.number] = flown
-        done, count = done + _cost(job), count + len(job.scenarios)
-        on_progress(f"flying, {count} of {total} flights", done / whole)
-    keys = dict.fromkeys(job.key for job in todo)
-    return {key: joined([found[job.key, job.number] for job in todo if job.key == key]) for key in keys}
+    found = {(False, part): known.chosen(slice(part * PART, (part + 1) * PART)) for part in range(first)}
+    both = NONE, NONE
+    with closing(as_they_come(_fly, jobs, cores())) as results:
+        for pair in _in_order(results, found):
+            both = joined([both[0], pair[0]]), joined([both[1], pair[1]])
+            draws = both[1].reached.size
+            on_progress(draws, draws / (parts * PART))
+            if settled(*both):
+                break
+    return (both[0] if both[0].reached.size > known.reached.size else known), both[1]
 
 
-def fly_chain(runner: Runner, chain: Iterable[Scenario]) -> list[Flight]:
-    """Fly one goal after the other; after a stop, continue with a new arm that swings as the next scenario says."""
-    daemon: Lockstep | None = None
-    flown = []
-    for scenario in chain:
-        daemon = daemon or runner.begin(scenario)
-        flown.append(daemon.pursue(scenario.goal))
-        if flown[-1].stop is not None:
-            daemon = None
-    return flown
+def _in_order(
+    results: Iterable[tuple[Job, Flights]], found: dict[tuple[bool, int], Flights]
+) -> Iterator[tuple[Flights, Flights]]:
+    """Yield the flights of old and new policy part by part, as soon as both have flown a part."""
+    number = 0
+    for job, flown in results:
+        found[job.is_new, job.part] = flown
+        while (False, number) in found and (True, number) in found:
+            yield found[False, number], found[True, number]
+            number += 1
 
 
-def _cost(job: Job) -> int:
-    """Return the estimated cost in flights of a trained policy on the simulator (about 25 ms of a core each)."""
-    robot = 1 if isinstance(job.robot, Model) else 4
-    return len(job.scenarios) * (robot + 4 * isinstance(job.policy, Replanning))
+def fly(policy: Flown, robot: Robot, config: Config, draws: int) -> Flights:
+    """Fly a policy to the first draws, in whole jobs; errors as for `compare`."""
+    jobs = [Job(False, part, policy, robot, config) for part in range(most(policy, draws) // PART)]
+    found = {job.part: flown for job, flown in as_they_come(_fly, jobs, cores())}
+    return joined([found[part] for part in sorted(found)])
 
 
 def _fly(job: Job) -> Flights:
-    policy = job.policy.load() if isinstance(job.policy, Replanning) else load(job.policy)
-    runner = Runner(policy, job.robot, job.config)
-    if job.key[2] == CHAINED:
-        flown, size = fly_chain(runner, job.scenarios), len(job.scenarios)
-    else:
-        flown, size = [runner.fly(each) for each in job.scenarios], len(CART_STARTS_M)
+    runner = Runner(_loaded(job.policy), job.robot, job.config)
+    flown = [runner.fly(draw(job.part * PART + number)) for number in range(PART)]
     reached = np.array([flight.reached for flight in flown])
-    return Flights(reached, tuple(flight.stop for flight in flown), np.arange(len(flown)) // size)
+    return Flights(reached, tuple(flight.stop for flight in flown), np.arange(PART))
+
+
+@lru_cache(maxsize=2)
+def _loaded(policy: Flown) -> Policy:
+    """Return a policy that has been loaded once in this process; the planner's compilation takes a second."""
+    return policy.load() if isinstance(policy, Replanning) else load(policy)

@@ -1,4 +1,4 @@
-"""Steps from a diagnosis to a retrained policy: patch the model, retrain, fly old and new, write the results."""
+"""Steps after a diagnosis: patch the model, compare the ways to use the patch, write the results."""
 
 import importlib.util
 import json
@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from softarm.common import files
 from softarm.common.processes import bar
@@ -15,16 +16,15 @@ from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import story, summary
-from softarm.evaluation.closing.closed import Closed, Place
+from softarm.evaluation.closing.closed import Closed, Place, Spent
 from softarm.evaluation.closing.diagnosed import with_diagnosed
-from softarm.evaluation.closing.fly import Flown, Replanning, fly_all
-from softarm.evaluation.closing.outcomes import HELD_OUT, NEW, NOMINAL, OLD, PATCHED, REPLANNED
+from softarm.evaluation.closing.fly import MOST, NONE, Flown, Replanning, compare, fly
+from softarm.evaluation.closing.outcomes import ADAPTIVE, HELD_OUT, NEW, NOMINAL, OLD, PATCHED, REPLANNED, TITLES
 from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import RailLimits
-from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
@@ -33,7 +33,15 @@ from softarm.training.run.warm_start import load_weights
 
 LIMITS, PATCH = "limits-patch.yaml", "patched-model.yaml"
 FILES = ("verdict.json", "report.html", "summary.json", LIMITS, PATCH, "retrained.onnx", "retrained.pt")
-Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
+SIMULATED = 108  # draws of the old policy on each simulator
+
+
+class Options(NamedTuple):
+    """Ways that are compared, and the largest number of draws for each."""
+
+    replanned: bool = True  # `mppi` on the patched model
+    adaptive: Path | None = None  # ONNX file of a policy that needs no diagnosis; None: no such policy
+    draws: int = MOST
 
 
 def close(
@@ -45,24 +53,25 @@ def close(
     is_the_robot: bool,
     config: RetrainingConfig,
     spent: Spent,
-    replanned: bool = True,
-    every: int = 1,
+    options: Options,
     through: Callable[[Closed], Wires | None] = lambda closed: None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Closed:
-    """Patch the nominal simulator, retrain the policy in it, fly old and new, and write all results to `out`.
+    """Compare the ways to use a diagnosis with the old policy, and write all results to `out`.
 
-    Training and flights use the rail limits that campaign or diagnosis show, where those are stricter.
+    Training and flights use the rail limits that campaign or diagnosis show, where those are stricter. The ways are
+    compared one after another, those that need no training first.
 
     Args:
         rail: Rail limits that the campaign shows.
         policy: ONNX file of the old policy.
         out: Existing folder for all results.
-        held_out: Held-out robot, on which both policies are compared.
-        is_the_robot: The held-out robot was declared to be the campaign's. Its success is the verdict's success_real.
-        spent: Receives the time of each step.
-        replanned: Also fly `mppi` on the patched model.
-        every: Fly only each so many-th of the test targets.
-        through: Flies the same policies on wires, or returns None.
+        held_out: Held-out robot.
+        is_the_robot: The held-out robot was declared to be the campaign's, so the ways are compared on it. Otherwise
+            they are compared on the patched simulator.
+        spent: Time of earlier steps; receives the time of each step.
+        through: Flies the old and the retrained policy on wires, or returns None.
+        tell: Called with a sentence after each way.
 
     Raises:
         ValueError: No policy can fly this robot, or the retraining is too short; the diagnosis is written first.
@@ -73,32 +82,51 @@ def close(
     if found.nominal is None:
         raise ValueError("the campaign shows another rig, and policies fly only the arm; use `softarm diagnose`")
     held_out, rail = of_the_nominal_body(held_out, found.nominal), with_diagnosed(rail, found.verdict)
-    places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
+    simulated = [Place(NOMINAL, "the nominal simulator", found.nominal)]
     files.write_text(out / LIMITS, rail.patch())
-    # Before the retraining, so that the diagnosis survives a refused or interrupted one.
+    # Before the flights, so that the diagnosis survives a refused or interrupted retraining.
     _write_diagnosis(found, out)
-    policies: dict[str, Flown] = {OLD: policy}
-    retrained: Retrained | None = None
     if found.patched is not None:
         model_file.save(found.patched, out / PATCH)
-        places.append(Place(PATCHED, "the patched simulator", found.patched))
+        simulated.append(Place(PATCHED, "the patched simulator", found.patched))
+    judged = held_out if is_the_robot else simulated[-1]
+    closed = Closed(found, policy, (*simulated, held_out), judged, {}, None, rail, spent)
+    with timed(spent, OLD):
+        flown = {
+            (OLD, place.key): fly(policy, place.robot, rail.patched, min(SIMULATED, options.draws))
+            for place in simulated
+        }
+    closed = replace(closed, flown=flown)
+    if found.patched is not None and options.replanned:
+        closed = _compared(closed, REPLANNED, Replanning(out / PATCH), options, tell)
+    if options.adaptive is not None:
+        closed = _compared(closed, ADAPTIVE, options.adaptive, options, tell)
+    if found.patched is not None:
         with timed(spent, "retrain"):
             retrained = _retrain(policy, found.patched, out, config, rail.patched.limits.rail)
-        policies[NEW] = retrained.policy
-        if replanned:
-            policies[REPLANNED] = Replanning(out / PATCH)
-    places.append(held_out)
-    robots = {place.key: place.robot for place in places}
-    pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
-    targets = TEST_TARGETS[::every]
-    with timed(spent, "fly"), bar("flying") as shown:
-        flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.report)
-    closed = Closed(found, policy, tuple(places), flown, retrained, targets, rail, is_the_robot).with_task()
+        closed = _compared(replace(closed, retrained=retrained), NEW, retrained.policy, options, tell)
+    closed = closed.with_task()
     # Before the robot moves, so that the results survive an interrupted flight.
-    _write(closed, out, spent)
+    _write(closed, out)
     if (wires := through(closed)) is not None:
         closed = replace(closed, wires=wires)
-        _write(closed, out, spent)
+        _write(closed, out)
+    return closed
+
+
+def _compared(closed: Closed, name: str, policy: Flown, options: Options, tell: Callable[[str], None]) -> Closed:
+    """Fly a way and the old policy on the judging robot until the decision is clear."""
+    judged, title = closed.judged, TITLES[name]
+    known = closed.flown.get((OLD, judged.key), NONE)
+    with timed(closed.spent, name), bar(f"flying {title}") as shown:
+
+        def report(draws: int, share: float) -> None:
+            shown.report(f"flying {title}, {draws} draws", share)
+
+        config = closed.rail.patched
+        old, new = compare(closed.policy, policy, judged.robot, config, options.draws, known, report)
+    closed = replace(closed, flown={**closed.flown, (OLD, judged.key): old, (name, judged.key): new})
+    tell(story.sentence(closed, name))
     return closed
 
 
@@ -108,10 +136,10 @@ def _write_diagnosis(found: Diagnosis, out: Path, further: Sequence[tuple[str, s
     files.write_text(out / "verdict.json", found.verdict.model_dump_json(indent=1) + "\n")
 
 
-def _write(closed: Closed, out: Path, spent: Spent) -> None:
+def _write(closed: Closed, out: Path) -> None:
     """Write the report, the verdict and the summary."""
     _write_diagnosis(closed.diagnosis, out, story.sections(closed))
-    files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
+    files.write_text(out / "summary.json", json.dumps(summary.summary(closed), indent=1) + "\n")
 
 
 def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:
@@ -155,7 +183,7 @@ def of_the_nominal_body(place: Place, nominal: Model) -> Place:
     return replace(place, robot=replace(place.robot, body=nominal.arm, cart=nominal.cart))
 
 
-def policy_file(name: str) -> Path:
+def policy_file(name: str, option: str = "--policy") -> Path:
     """Return the ONNX file of a policy, given as a path or as the name of a shipped one.
 
     Raises:
@@ -166,7 +194,7 @@ def policy_file(name: str) -> Path:
     if not file.is_file():
         shipped = sorted(path.stem for path in MODELS.glob("*.onnx"))
         instead = f"{did_you_mean(name, shipped)}name an .onnx file of `softarm train`, or one of {', '.join(shipped)}"
-        raise ValueError(f"--policy {name}: no such file; {instead}")
+        raise ValueError(f"{option} {name}: no such file; {instead}")
     # Fail here rather than after minutes of diagnosis.
     load_weights(file)
     return file

@@ -1,20 +1,17 @@
 """Content of summary.json, written by `softarm close-gap`."""
 
-import math
-from collections.abc import Mapping
 from typing import Any
 
 from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed
-from softarm.evaluation.closing.outcomes import HELD_OUT, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, Flights, better
+from softarm.evaluation.closing.outcomes import MANNERS, NEW, OLD, Flights
 from softarm.evaluation.closing.wires import Wires
-from softarm.schemas import flights
 from softarm.simulator.model_rows import differences
 from softarm.training.run.retrain import Retrained
 
 
-def summary(closed: Closed, spent: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """Return the results as plain values; `spent` maps each step to its wall_s and cpu_s."""
+def summary(closed: Closed) -> dict[str, Any]:
+    """Return the results as plain values."""
     diagnosis, advice = closed.diagnosis, advise(closed)
     patch = differences(diagnosis.nominal, diagnosis.patched) if diagnosis.nominal and diagnosis.patched else []
     return {
@@ -23,42 +20,38 @@ def summary(closed: Closed, spent: Mapping[str, Mapping[str, float]]) -> dict[st
         "patch": [row._asdict() for row in patch],
         "limits": closed.rail.summary(),
         "policy": str(closed.policy),
-        "held_back_robot": closed.place(HELD_OUT).title,
-        "flights": closed.flights,
-        "success": {place.key: _success(closed, place.key) for place in closed.places},
+        "judged_on": closed.judged.title,
+        "old": {place: _flights(flown) for (name, place), flown in closed.flown.items() if name == OLD},
+        "ways": {name: _way(closed, name) for name in (OLD, *closed.ways)},
         "fly": advice.fly,
-        "against_retrained": list(advice.against),
-        "mppi_beyond_advised": _replanning(closed),
+        "against": {name: list(reasons) for name, reasons in advice.against.items()},
         "wires": None if closed.wires is None else _wires(closed.wires),
         "retrained": None if closed.retrained is None else _retrained(closed.retrained),
-        "spent": spent,
+        "spent": closed.spent,
     }
 
 
-def _success(closed: Closed, place: str) -> dict[str, Any]:
-    """Return success by policy, from rest also by height, and the differences between old and new."""
-    success: dict[str, Any] = {}
-    for name in closed.policies:
-        if (name, place, REST) not in closed.flown:
-            continue
-        success[name] = {manner: _flights(closed.flown[name, place, manner]) for manner in MANNERS}
-        heights_m = flights.heights(flights.grid(closed.targets))
-        parts = flights.shares(closed.flown[name, place, REST].reached, heights_m)._asdict()
-        success[name] |= {part: None if math.isnan(share) else share for part, share in parts.items()}
-    if NEW in success:
-        for manner in MANNERS:
-            old, new = closed.flown[OLD, place, manner], closed.flown[NEW, place, manner]
-            success[manner] = {**closed.changed(place, manner), "difference": better(old, new)._asdict()}
-        success["difference"] = closed.won(place)._asdict()
-        success["stops_difference"] = closed.stops_more(place)._asdict()
-    return success
+def _way(closed: Closed, name: str) -> dict[str, Any]:
+    """Return a policy's success on the judging robot, and its difference to the old one over the same draws."""
+    wall_s, cpu_s = closed.seconds(name)
+    own = {
+        **{manner: _flights(closed.of(name, manner)) for manner in MANNERS},
+        "wall_s": round(wall_s, 1),
+        "cpu_s": round(cpu_s, 1),
+    }
+    if name == OLD:
+        return own
+    return own | {"difference": closed.won(name)._asdict(), "stops_difference": closed.stops_more(name)._asdict()}
 
 
 def _flights(flown: Flights) -> dict[str, Any]:
     stops = [stop for stop in flown.stops if stop is not None]
+    low, high = flown.interval
     return {
         "flights": int(flown.reached.size),
         "reached": int(flown.reached.sum()),
+        "low": round(low, 3),
+        "high": round(high, 3),
         "stops": {why: stops.count(why) for why in dict.fromkeys(stops)},
     }
 
@@ -72,14 +65,6 @@ def _wires(wires: Wires) -> dict[str, Any]:
         "ended": wires.ended,
         "log": wires.log,
     }
-
-
-def _replanning(closed: Closed) -> dict[str, Any] | None:
-    """Return the difference between `mppi` and the recommended policy, by place."""
-    if REPLANNED not in closed.policies:
-        return None
-    best = OLD if advise(closed).fly == "old" else NEW
-    return {key: closed.won(key, REPLANNED, best)._asdict() for key in (PATCHED, HELD_OUT)}
 
 
 def _retrained(retrained: Retrained) -> dict[str, Any]:

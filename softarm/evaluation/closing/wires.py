@@ -17,7 +17,7 @@ import numpy as np
 from softarm.daemon.control.failsafe import TABLE
 from softarm.daemon.control.workspace import refusals as not_flown
 from softarm.daemon.limits.findings import RailFindings
-from softarm.evaluation.closing.outcomes import CHAINED, MANNERS, NEW, OLD, REST, Flights, Paired, better, joined
+from softarm.evaluation.closing.outcomes import MANNERS, NEW, OLD, REST, SWINGING, Flights, Paired, better, joined
 from softarm.evaluation.closing.outcomes import stops_more as paired_stops
 from softarm.evaluation.software_in_the_loop import POLL_S, SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
@@ -288,7 +288,7 @@ def _legs(config: Config, goals: int) -> list[_Leg]:
     for first in range(0, goals, CHAIN):
         part = tuple(chosen[first : first + CHAIN])
         lead = next((goal for goal in reversed(order) if goal is not part[0]), None)
-        chained.append(_Leg(CHAINED, lead, part))
+        chained.append(_Leg(SWINGING, lead, part))
     return rest + chained
 
 

@@ -1,22 +1,21 @@
-"""The same goals for every policy, from rest and chained; stops are failures and are counted."""
+"""The same draws for every policy, until the decision is clear; stops are failures and are counted."""
 
-from itertools import pairwise
-
+import numpy as np
 import pytest
 
 from softarm.evaluation.closing import fly
-from softarm.evaluation.closing.fly import Replanning, at_rest, chains, fly_all, fly_chain
-from softarm.evaluation.closing.outcomes import CHAINED, NEW, OLD, PATCHED, REPLANNED, REST
-from softarm.evaluation.runner import Runner, load
+from softarm.evaluation.closing.fly import PART, Job, Replanning, compare, draw, most
+from softarm.evaluation.closing.outcomes import Flights
+from softarm.evaluation.runner import Runner
 from softarm.policies.base import MODELS
-from softarm.schemas.config import Config, Failsafe
-from softarm.schemas.flights import TEST_TARGETS, Scenario, Swing
+from softarm.schemas.config import Config
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Scenario
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 from tests.evaluation.closing import cases
 
 REACH = MODELS / "reach.onnx"
-EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+OTHER = MODELS / "reach-robust.onnx"
 
 
 @pytest.fixture(autouse=True)
@@ -24,98 +23,86 @@ def one_process(monkeypatch):
     monkeypatch.setattr(fly, "cores", lambda: 1)
 
 
+@pytest.fixture
+def invented(monkeypatch):
+    """Replace the flights: the new policy reaches every target, the old one every second; return the jobs."""
+    flown = []
+
+    def invent(job):
+        flown.append(job)
+        reached = np.ones(PART, dtype=bool) if job.is_new else np.arange(PART) % 2 == 0
+        return Flights(reached, (None,) * PART, np.arange(PART))
+
+    monkeypatch.setattr(fly, "_fly", invent)
+    return flown
+
+
 def with_effect(name, **values):
     return Model(effects=Model().effects | {name: values})
 
 
-def test_chains_repeat_each_target_as_often_as_rest_and_never_in_a_row():
-    chained, rest = chains(TEST_TARGETS), at_rest(TEST_TARGETS)
-    assert chained == chains(TEST_TARGETS)
-    goals = [scenario.goal for chain in chained for scenario in chain]
-    assert sorted(goals, key=str) == sorted((scenario.goal for part in rest for scenario in part), key=str)
-    assert len(chained) == 18
-    assert all(one.goal != other.goal for chain in chained for one, other in pairwise(chain))
-    swings = [scenario.swing for chain in chained for scenario in chain]
-    assert len(set(swings)) == len(goals)  # another one each, where a stop makes it begin again
+def test_draws_are_the_same_every_time_and_half_of_them_swing():
+    drawn = [draw(number) for number in range(400)]
+    assert drawn == [draw(number) for number in range(400)]
+    assert len({each.goal for each in drawn}) == len(TEST_TARGETS)
+    resting = [each for each in drawn if each.swing is None]
+    assert {each.cart_start_m for each in resting} == set(CART_STARTS_M)
+    assert 0.4 < len(resting) / len(drawn) < 0.6
 
 
-@pytest.mark.slow
-def test_a_chain_continues_from_the_state_after_the_previous_goal():
-    runner = Runner(load(REACH), Model())
-    swing = Swing.draw(1)
-    two = [Scenario(goal, swing.cart_start_m, swing=swing) for goal in (TEST_TARGETS[8], EASY)]
-    chained, alone = fly_chain(runner, two), [fly_chain(runner, [scenario])[0] for scenario in two]
-    assert chained[0] == alone[0]
-    assert chained[1].ticks != alone[1].ticks  # not swung about again
+def test_the_flights_end_when_one_policy_is_clearly_better(invented):
+    reported = []
+    old, new = compare(REACH, OTHER, Model(), Config(), 324, on_progress=lambda *args: reported.append(args))
+    assert old.reached.size == new.reached.size == reported[-1][0] <= 60
+    assert len(invented) == 2 * new.reached.size / PART
 
 
-@pytest.mark.slow
-def test_after_a_stop_the_chain_continues_with_a_new_swinging_arm(monkeypatch):
-    """A camera that the failsafe refuses: it stops the arm in every flight that moves for long enough."""
-    config = Config(failsafe=Failsafe(mocap_late_max_s=0.03))
-    runner = Runner(load(REACH), with_effect("mocap.latency", delay=0.09), config)
-    begun, begin = [], runner.begin
-    monkeypatch.setattr(runner, "begin", lambda scenario: begun.append(scenario) or begin(scenario))
-    chain = chains(TEST_TARGETS)[0][:3]
-    flown = fly_chain(runner, chain)
-    stopped = [flight.stop is not None for flight in flown]
-    assert begun == [chain[0], *(later for later, before in zip(chain[1:], stopped, strict=False) if before)]
-    assert any(flight.stop is not None and "motion capture" in flight.stop for flight in flown)
-    assert not any(flight.reached for flight in flown if flight.stop is not None)
-    assert len(flown) == 3
+def test_known_flights_of_the_old_policy_are_not_repeated(invented):
+    whole, new = compare(REACH, OTHER, Model(), Config(), 324)
+    del invented[:]
+    again = compare(REACH, OTHER, Model(), Config(), 324, known=whole)
+    assert all(job.is_new for job in invented)
+    assert again[1].reached.tolist() == new.reached.tolist()
+
+
+def test_a_replanning_policy_flies_fewer_draws(tmp_path):
+    assert (most(REACH, 324), most(Replanning(tmp_path / "a.yaml"), 324)) == (324, 108)
+    assert most(REACH, 35) == 36
 
 
 @pytest.mark.slow
 def test_a_camera_latency_of_46_ms_causes_no_stop():
     """A latched stop once ended 53 of 107 goals."""
-    late = with_effect("mocap.latency", delay=0.046)
-    targets = TEST_TARGETS[3:30:6]
-    flown = fly_all({OLD: REACH}, {PATCHED: late}, [(OLD, PATCHED)], targets, Config())
-    for manner in (REST, CHAINED):
-        assert flown[OLD, PATCHED, manner].stops == (None,) * 15
-        assert flown[OLD, PATCHED, manner].share > 0.7
-
-
-@pytest.mark.slow
-def test_every_policy_flies_the_same_scenarios_with_progress(tmp_path):
-    model = with_effect("rail.delay", delay=0.06)
-    file = tmp_path / "patched-model.yaml"
-    model_file.save(model, file)
-    policies, reported = {OLD: REACH, NEW: REACH, REPLANNED: cases.QuickReplanning(file)}, []
-    pairs = [(name, PATCHED) for name in policies]
-    robots, targets = {PATCHED: model}, (EASY, NEVER)
-    flown = fly_all(policies, robots, pairs, targets, Config(), lambda *args: reported.append(args))
-    assert set(flown) == {(name, PATCHED, manner) for name in policies for manner in (REST, CHAINED)}
-    for manner in (REST, CHAINED):
-        old, new, replanned = (flown[name, PATCHED, manner] for name in policies)
-        assert old.reached.tolist() == new.reached.tolist()
-        assert old.group.tolist() == replanned.group.tolist()
-        assert replanned.reached.any()
-        assert not any(old.stops)
-    assert flown[OLD, PATCHED, REST].reached.tolist()[3:] == [False] * 3
-    shares = [share for _, share in reported]
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
-    # A replanned flight counts for more: the first half of the flights is not half of the work.
-    assert shares[reported.index(next(each for each in reported if "12 of 36" in each[0]))] < 0.2
+    found = fly.fly(REACH, with_effect("mocap.latency", delay=0.046), Config(), 12)
+    assert found.stops == (None,) * 12
+    assert found.share > 0.6
 
 
 @pytest.mark.slow
 def test_the_replanning_policy_plans_on_the_model_of_its_file(tmp_path):
     model = with_effect("rail.delay", delay=0.06)
     model_file.save(model, tmp_path / "patched-model.yaml")
-    runner = Runner(Replanning(tmp_path / "patched-model.yaml").load(), model)
-    (flown,) = fly_chain(runner, [Scenario(EASY, 0.0)])
+    flown = Runner(Replanning(tmp_path / "patched-model.yaml").load(), model).fly(Scenario(TEST_TARGETS[4], 0.0))
     assert flown.reached
     assert flown.stop is None
+
+
+@pytest.mark.slow
+def test_a_replanning_policy_and_an_old_one_fly_the_same_draws(tmp_path):
+    model = with_effect("rail.delay", delay=0.06)
+    model_file.save(model, tmp_path / "patched-model.yaml")
+    quick = cases.QuickReplanning(tmp_path / "patched-model.yaml")
+    job = Job(True, 0, quick, model, Config())
+    assert fly._fly(job).reached.any()
+    assert fly._fly(job).group.tolist() == list(range(PART))
 
 
 @pytest.mark.prove
 @pytest.mark.slow
 def test_the_number_of_processes_does_not_change_the_flights(monkeypatch):
-    robots, targets = {PATCHED: with_effect("rail.delay", delay=0.06)}, (EASY, NEVER)
-    alone = fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config())
+    robot = with_effect("rail.delay", delay=0.06)
+    alone = compare(REACH, OTHER, robot, Config(), 24)
     monkeypatch.setattr(fly, "cores", lambda: 2)
-    apart = fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config())
-    for manner in (REST, CHAINED):
-        assert alone[OLD, PATCHED, manner].reached.tolist() == apart[OLD, PATCHED, manner].reached.tolist()
+    apart = compare(REACH, OTHER, robot, Config(), 24)
+    for one, other in zip(alone, apart, strict=True):
+        assert one.reached.tolist() == other.reached.tolist()

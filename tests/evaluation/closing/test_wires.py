@@ -8,7 +8,7 @@ import pytest
 from softarm.daemon.config.configuration import load
 from softarm.daemon.logbook import logs
 from softarm.evaluation.closing import story, wires
-from softarm.evaluation.closing.outcomes import CHAINED, NEW, OLD, REST
+from softarm.evaluation.closing.outcomes import NEW, OLD, REST, SWINGING
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies.base import MODELS
 from softarm.schemas.config import Config, Goals, Limits, RailLimits, Workspace
@@ -58,7 +58,7 @@ def test_old_and_new_fly_the_same_goals_on_the_twin(tmp_path):
     config = Config(limits=Limits(rail=RailLimits(latency_s=0.06)))
     found = wires.fly(config, BOTH, 1, "the robot", tmp_path / "logs", twin, lambda *args: reported.append(args))
     assert (found.title, found.is_the_robot, found.ended) == ("our twin", True, None)
-    for manner in (REST, CHAINED):
+    for manner in (REST, SWINGING):
         for name in BOTH:
             assert found.flown[name, manner].reached.shape == (1,)
             assert found.flown[name, manner].stops == (None,)
