@@ -86,9 +86,10 @@ class Fit:
         return float(abs(late - early) / change)
 
     def _strongest(self, i: int) -> tuple[int, float]:
-        """Return the index, among all parameters, and the change of an effect's most changed parameter."""
+        """Return the index, among all parameters, and the change of the parameter that leaves its tolerance most."""
         parameters, us = self.effects[i].parameters, self.u[i]
-        j = max(range(len(parameters)), key=lambda k: abs(us[k] - parameters[k].nominal) / parameters[k].size)
+        beyond = [(abs(u - p.nominal) - p.tolerance) / p.size for p, u in zip(parameters, us, strict=True)]
+        j = beyond.index(max(beyond))
         at = sum(len(each.parameters) for each in self.effects[:i]) + j
         return at, max(abs(us[j] - parameters[j].nominal), 1e-9 * parameters[j].size)
 

@@ -72,10 +72,21 @@ def motion(g: Grid, column: str, step: float, limit: float, *, speed_alone: bool
 
 
 def motions(
-    trials: Sequence[Trial], column: str, step: float, limit: float, *, speed_alone: bool = False
+    trials: Sequence[Trial],
+    column: str,
+    step: float,
+    limit: float,
+    *,
+    speed_alone: bool = False,
+    rate_hz: float = RATE_HZ,
 ) -> list[Motion]:
-    """Return the measured motion of every trial, on grids that are finer for fast motion; arguments as `motion`."""
-    rate = RATE_HZ
+    """Return the measured motion of every trial, on grids that are finer for fast motion.
+
+    Args:
+        rate_hz: rate down to which samples are averaged, at least.
+        trials, column, step, limit, speed_alone: see `motion`.
+    """
+    rate = rate_hz
     for _ in range(2):
         grids = [grid(t.channel("measured"), rate, (column,)) for t in trials]
         found = [motion(g, column, step, limit, speed_alone=speed_alone) for g in grids]

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
 from softarm.diagnosis.engine.confidence import confidence, frequency
 from softarm.diagnosis.engine.decision import Evidence, decide, stage_of, stage_shares
 from softarm.diagnosis.engine.fits import Fit
@@ -246,3 +247,14 @@ def test_without_evidence_a_residual_of_a_rig_is_noise_and_a_proven_share_counts
     assert _decide(weak, {}, thresholds=RIG, proven={"arm": 0.3}).kind == "none"
     drift = _decide(weak, {}, thresholds=RIG, proven={"arm": 0.0}, signs=_odd(5.0))
     assert (drift.kind, drift.structure) == ("unknown", {"arm": "at reversals, it carries on"})
+
+
+def test_a_shape_within_its_tolerance_does_not_decide_whether_an_effect_is_steady():
+    """The torque is the same in all folds and halves; the data do not resolve the travel of the friction."""
+    torque = FittedParameter("elbow.friction.torque", "N m", 0.0, 0.0, 10.0, 0.6, 0.0)
+    give = FittedParameter("elbow.friction.give", "rad", 1e-3, 0.0, 0.02, 2e-3, 1e-3, tolerance=3e-3, shape=True)
+    friction = Candidate("elbow.friction", "elbow", (torque, give), ((0.1, 1e-3),))
+    halves, folds = np.array([[0.110, 0.0], [0.111, 1e-3]]), np.array([[0.110, 0.0], [0.110, 1e-3]])
+    fit = Fit((friction,), ((0.11, 1e-4),), np.zeros(0), 0.0, np.zeros(1), folds, halves)
+    assert fit.drift(0) == pytest.approx(0.001 / 0.11)
+    assert fit.scatter(0) == pytest.approx(0.0, abs=1e-9)

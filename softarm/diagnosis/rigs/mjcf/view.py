@@ -33,6 +33,8 @@ from softarm.diagnosis.rigs.motion import (
 from softarm.diagnosis.rigs.scales import white_noise
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values
 
+# Samples are averaged down to this rate: accelerations of coupled joints change within 5 ms.
+RATE_HZ = 500.0
 # Changes of the bodies at which the slopes of the rigid-body terms are taken.
 MASS_STEP, PAYLOAD_STEP_KG = 0.1, 0.05
 # Share of a load below which a mass has no effect.
@@ -69,7 +71,7 @@ class JointView(RigView):
         column = joint.name
         step = resolution([t.channel("measured")[column] for t in trials])
         limit = _acceleration(trials, column, step)
-        self._motions = motions(trials, column, step, limit)
+        self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [self._slopes(around) for around in self._around]
         self._refuse_mistakes(trials)
@@ -77,9 +79,9 @@ class JointView(RigView):
         own = joint_effects(stage.name, scales)
         self._known = neutral_values(own) | self._nominal() | given_values(stage, own)
         window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
-        self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         self._each = self._substeps()
         self._drives = lru_cache(64)(self._driven)
+        self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         signals = [self._signals(k) for k in range(len(trials))]
         seen = [self._compared(k) for k in range(len(trials))]
         stamps = [m.grid.t_s for m in self._motions]

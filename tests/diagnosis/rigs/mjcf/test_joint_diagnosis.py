@@ -14,7 +14,7 @@ from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import Truth, record, write
 from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
-from tests.diagnosis.rigs.recordings import SERVO
+from tests.diagnosis.rigs.recordings import SERVO, shipped
 
 KINDS = ("multisine", "holds", "multisine")
 
@@ -91,3 +91,20 @@ def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     result = CliRunner().invoke(main, ["diagnose", str(stage), str(stage), "--patch", str(tmp_path / "x.xml")])
     assert result.exit_code == 2
     assert "for one stage.yaml of kind mujoco" in result.output
+
+
+def test_a_real_elbow_has_the_dry_friction_that_its_authors_found(data):
+    """Its authors give 0.078 N m times arctan(100 rate), at most 0.123 N m, and hardly any viscous friction."""
+    trials = [trial for trial in shipped("double-pendulum-mujoco.yaml", data) if trial.stage.name == "elbow"]
+    view, _ = view_of(trials)
+
+    def left(path, values):
+        gaps = view.gap([{f"elbow.{path}": value} for value in values])
+        return np.sqrt(np.nanmean(gaps**2, axis=(1, 2)))
+
+    dry, viscous = (0.0, 0.05, 0.08, 0.1, 0.123, 0.15, 0.2), (0.01, 0.015, 0.02, 0.03)
+    with_dry = left("coulomb_friction.torque", dry)
+    assert dry[int(np.argmin(with_dry))] == 0.123
+    assert with_dry.min() < 0.4 * with_dry[0]
+    assert with_dry.min() < 0.8 * left("damping.viscous", viscous).min()
+    assert not view.warnings  # the other joint's accelerations are known between the samples
