@@ -1,5 +1,5 @@
 // Log player: the arm at a moment, charts and events. Data: softarm/recordings/player.py.
-/* global uPlot, tableColour, unpackedBytes, unpackedLevels, sampleAt, chartAxis, chartSeries, paddedRange, ARM_RADII_M, armOutline */
+/* global uPlot, tableColour, unpackedBytes, unpackedLevels, sampleAt, chartAxis, chartSeries, paddedRange, ARM_RADII_M, GOAL_WORDS, armOutline, spotBetween */
 (() => {
   "use strict";
   const data = JSON.parse(document.getElementById("data").textContent);
@@ -90,49 +90,59 @@
       p.fill();
       p.globalAlpha = 1;
     };
+    const ring = ([y, z], radius, colour) => {
+      const [x, v] = [X(y), Y(z)];
+      p.strokeStyle = tableColour(colour);
+      p.lineWidth = 2.5;
+      p.beginPath();
+      p.arc(x, v, radius, 0, 7);
+      p.moveTo(x - 5, v);
+      p.lineTo(x + 5, v);
+      p.moveTo(x, v - 5);
+      p.lineTo(x, v + 5);
+      p.stroke();
+    };
     const i = tickAt(now), hinge = robot.hinge_z_m, [, , , state, target, shelf] = runAt("goal", now);
 
     for (let y = -Math.floor(frame.y * 10) / 10; y <= frame.y; y += 0.1) line([[y, frame.low], [y, frame.high]], "line", 0.5);
     for (let z = Math.ceil(frame.low * 10) / 10; z <= frame.high; z += 0.1) line([[-frame.y, z], [frame.y, z]], "line", 0.5);
-    line([[robot.hard_m[0], hinge + 0.03], [robot.hard_m[1], hinge + 0.03]], "floor", 5);
-    for (const y of robot.hard_m) line([[y, hinge + 0.06], [y, hinge]], "stop", 4);
-    for (const y of robot.soft_m) line([[y, hinge + 0.06], [y, frame.low]], "warning", 1.2, [3, 5]);
+    line([[robot.hard_m[0], hinge], [robot.hard_m[1], hinge]], "soft", 5);
+    for (const y of robot.hard_m) line([[y, hinge + 0.02], [y, hinge - 0.02]], "ink", 6);
+    for (const y of robot.soft_m) line([[y, hinge + 0.04], [y, hinge - 0.03]], "warning", 2, [4, 2]);
     p.textAlign = "center";
     p.fillStyle = tableColour("soft");
-    for (const y of robot.soft_m) p.fillText(`${y} m`, X(y), Y(hinge + 0.067));
+    for (const y of robot.soft_m) p.fillText(`${y} m`, X(y), Y(hinge + 0.05));
 
     if (shelf) line([[shelf[0], shelf[1] - 0.004], [shelf[0] - 0.3, shelf[1] - 0.004]], "soft", Math.max(3, 0.008 * scale));
-    if (target) {
-      const colour = BY_STATE[state] || "soft";
-      disc(target[0], target[1], robot.radius_m * scale, colour, 0.25);
-      disc(target[0], target[1], 3.5, colour);
-    }
+    const bodies = BODIES.map((_, b) => spotBetween(t, [ys[b], zs[b]], now));
+    if (target) ring(target, robot.radius_m * scale, BY_STATE[state] || "soft");
     const from = tickAt(now - 2); // trail of the tip over two seconds
     for (let k = from; k < i; k++) {
       if (![zs[5][k], zs[5][k + 1]].every(isKnown) || t[k + 1] - t[k] > 0.5) continue;
       p.globalAlpha = 0.15 + 0.75 * ((t[k] - now + 2) / 2);
       line([[ys[5][k], zs[5][k]], [ys[5][k + 1], zs[5][k + 1]]], "measured", 2.5);
     }
+    if (bodies[5] && isKnown(ys[5][i])) line([[ys[5][i], zs[5][i]], bodies[5]], "measured", 2.5);
     p.globalAlpha = 1;
-    const seen = BODIES.map((_, b) => b).filter((b) => isKnown(ys[b][i]) && isKnown(zs[b][i]));
+    const seen = bodies.filter(Boolean);
     if (seen.length > 1) {
-      const outline = armOutline(seen.map((b) => [ys[b][i], zs[b][i]]), ARM_RADII_M);
+      const outline = armOutline(seen, ARM_RADII_M);
       p.fillStyle = tableColour("arm");
       p.beginPath();
       for (const [y, z] of outline) p.lineTo(X(y), Y(z));
       p.fill();
       line([...outline, outline[0]], "ink", 1.5);
     }
-    for (const b of seen.slice(1, -1)) disc(ys[b][i], zs[b][i], 2, "floor");
-    if (seen.includes(0)) {
+    for (const spot of bodies.slice(1, -1)) if (spot) disc(...spot, 2, "floor");
+    if (bodies[0]) {
       p.fillStyle = tableColour("ink");
-      p.fillRect(X(ys[0][i]) - 0.045 * scale, Y(hinge + 0.045), 0.09 * scale, 0.05 * scale);
+      p.fillRect(X(bodies[0][0]) - 0.03 * scale, Y(hinge + 0.02), 0.06 * scale, 0.04 * scale);
     }
-    if (seen.includes(5)) disc(ys[5][i], zs[5][i], 5, "measured");
+    if (bodies[5]) disc(...bodies[5], 5, "measured");
     if (seen.length < BODIES.length) {
       p.fillStyle = tableColour("stop");
       p.textAlign = "left";
-      p.fillText(seen.length ? `not tracked: ${BODIES.filter((_, b) => !seen.includes(b)).join(", ")}` : "no body tracked", 10, 18);
+      p.fillText(seen.length ? `not tracked: ${BODIES.filter((_, b) => !bodies[b]).join(", ")}` : "no body tracked", 10, 18);
     }
   }
 
@@ -251,10 +261,11 @@
     const [, mode] = runAt("mode", now), [, policy] = runAt("policy", now), [, wrong] = runAt("wrong", now);
     const [, count, kind, state, target] = runAt("goal", now), i = tickAt(now), list = at("now");
     const chip = Object.assign(document.createElement("span"), { className: `chip ${mode}`, textContent: mode });
-    let goal = count ? `goal ${count} (${kind}) ${state}` : "no goal yet";
+    const word = state === "running" ? state : GOAL_WORDS[state] ?? state;
+    let goal = count ? `goal ${count} (${kind}) ${word}` : "no goal yet";
     if (target) {
       const off = isKnown(zs[5][i]) ? Math.hypot(ys[5][i] - target[0], zs[5][i] - target[1]) : null;
-      goal = `goal ${count}: y ${Number(target[0].toFixed(3))}, z ${Number(target[1].toFixed(3))} m, ${state}; tip ${isKnown(off) ? `${(off * 100).toFixed(1)} cm off` : "not seen"}`;
+      goal = `goal ${count}: y ${Number(target[0].toFixed(3))}, z ${Number(target[1].toFixed(3))} m, ${word}; tip ${isKnown(off) ? `${(off * 100).toFixed(1)} cm off` : "not seen"}`;
     }
     list.replaceChildren(chip, `policy ${policy || "none"}, ${goal}`);
     if (wrong) list.append("; ", Object.assign(document.createElement("span"), { className: "wrong", textContent: wrong.replaceAll(" ", ", ") }));

@@ -98,15 +98,27 @@ def test_the_cart_is_drawn_at_its_measured_position(opened, ticks, at_s):
     page = opened(f"#t={at_s}")
     settled(page)
     picture = imread(BytesIO(page.locator("#scene").screenshot()))
-    height = len(picture)
-    top = picture[: height * 13 // 100]
-    stops = np.flatnonzero(inked(top, rgb(page, "--stop")))
-    left, right = stops[0], stops[-1]
+    rail = inked(picture.swapaxes(0, 1), rgb(page, "--soft")).argmax()
+    ink = np.flatnonzero(inked(picture[: rail - 3], rgb(page, "--ink")))
+    first, cart, last = np.split(ink, np.flatnonzero(np.diff(ink) > 1) + 1)
+    left, right = first.mean(), last.mean()
     assert right - left > 200
-    cart = np.flatnonzero(inked(top, rgb(page, "--ink")))
     middle_m = ((cart[0] + cart[-1]) / 2 - (left + right) / 2) / (right - left) * 2 * RAIL_TRAVEL_M
     seen = [inputs.mocap[-1].bodies[0].y_m for t, inputs, _ in ticks if t <= at_s + 1e-6][-1]
     assert middle_m == pytest.approx(seen, abs=0.003)
+
+
+def test_the_arm_moves_between_two_ticks(opened, ticks):
+    page = opened()
+    flown = next(t for t, _, outputs in ticks if outputs.goal.state == "running") + 0.3
+    before = max(t for t, _, _ in ticks if t <= flown)
+    drawn = set()
+    for after_s in (0.005, 0.015, 0.025):
+        page.evaluate(f"location.hash = 't={before + after_s:.4f}'")
+        settled(page)
+        picture = imread(BytesIO(page.locator("#scene").screenshot()))
+        drawn.add(tuple(inked(picture, rgb(page, "--arm"))))
+    assert len(drawn) == 3
 
 
 def test_the_player_states_the_tips_error_at_every_moment(opened, ticks):

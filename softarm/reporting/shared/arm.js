@@ -1,7 +1,10 @@
 // The one drawing of the arm for dashboard and log player; softarm/reporting/arm.py draws the same in pictures.
 
-/* exported ARM_RADII_M, armOutline */
+/* global sampleAt */
+/* exported ARM_RADII_M, GOAL_WORDS, armOutline, valueBetween, spotBetween */
 const ARM_RADII_M = [0.030, 0.024]; // at the cart and at the tip; the real dimensions are unknown
+const GOAL_WORDS = { running: "target", reached: "reached ✓", failed: "missed ✕", cancelled: "cancelled" };
+const ARM_GAP_S = 0.25; // nothing is drawn through a longer pause between two samples
 
 // Return a smooth, tapered outline around two points or more, as [x, y] pairs; the far end is round.
 function armOutline(points, [near, far], steps = 8) {
@@ -31,4 +34,24 @@ function armOutline(points, [near, far], steps = 8) {
     }
   }
   return [...left, ...right];
+}
+
+// Return a value between two samples by a cubic through their neighbours; NaN where a sample has none.
+function valueBetween(t, values, time) {
+  const finite = Number.isFinite, i = Math.min(Math.max(sampleAt(t, time), 0), t.length - 1);
+  const [a, b, long] = [values[i], values[i + 1], t[i + 1] - t[i]];
+  if (!finite(a)) return NaN;
+  if (!finite(b) || !(long <= ARM_GAP_S) || time <= t[i]) return a;
+  const slope = (k) => {
+    const [p, n] = [finite(values[k - 1]) && t[k] - t[k - 1] <= ARM_GAP_S ? k - 1 : k, finite(values[k + 1]) && t[k + 1] - t[k] <= ARM_GAP_S ? k + 1 : k];
+    return ((values[n] - values[p]) / (t[n] - t[p])) * long;
+  };
+  const [u, m, n] = [(time - t[i]) / long, slope(i), slope(i + 1)];
+  return a + u * (m + u * (3 * (b - a) - 2 * m - n + u * (2 * (a - b) + m + n)));
+}
+
+// Return y and z at a time between two samples, from their columns; null if they are not tracked.
+function spotBetween(t, columns, time) {
+  const spot = columns.map((column) => valueBetween(t, column, time));
+  return spot.every(Number.isFinite) ? spot : null;
 }

@@ -13,7 +13,7 @@ SOURCE = "/dashboard/swing/cut.js"
 # A cart at rest; the tip moves at 1 m/s past a target at y = 0.02 m, 1 cm away from it between two ticks.
 CUT = f"""
 async () => {{
-  const {{ cutSwing, bodyColumns, spotAt }} = await import("{SOURCE}");
+  const {{ cutSwing, bodyColumns }} = await import("{SOURCE}");
   const rows = Array.from({{ length: 200 }}, (_, k) => k);
   const bodies = rows.map((k) => [[0, 1], [0.1, 0.9], null, [k / 30 - 3, 0.7], [0, 0.6], [k / 30 - 3, 0.61]]);
   const names = ["cart_m", "action_velocity_m_s", "sent_velocity_m_s", "cart_velocity_m_s",
@@ -32,7 +32,7 @@ async () => {{
   const replaced = cutSwing({{ ...goal, next: 1091 }}, recent, robot);
   const far = cutSwing({{ ...goal, goal: {{ ...goal.goal, z_m: 0.7 }} }}, recent, robot);
   const older = cutSwing({{ ...goal, request: at(999) }}, recent, robot);
-  const between = bodyColumns(reached).map((one) => spotAt(reached.t, one, 1 / 60));
+  const between = bodyColumns(reached).map((one) => spotBetween(reached.t, one, 1 / 60));
   return {{ reached, missed, replaced, older, far, between }};
 }}
 """

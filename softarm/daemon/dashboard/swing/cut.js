@@ -1,12 +1,9 @@
 // A swing cut from the columns of `GET /api/recent`: its ticks, its closest moment and the arm between two ticks. Pure.
 
-/* global sampleAt */
-import { finite } from "../view/dom.js";
-
+/* global valueBetween */
 const LEAD_S = 0.1; // shown before the request
 export const AFTER_S = 0.5; // shown after the end: the arm still swings
 const CHARTS_S = 3; // shown by the charts at least
-const GAP_S = 0.25; // no curve is drawn through a longer pause between ticks
 const FINE_S = 1 / 240; // between the distances that are compared
 const CURVES = ["tip_y_m", "tip_z_m", "cart_m", "action_velocity_m_s", "sent_velocity_m_s", "cart_velocity_m_s", "action_pressure_kpa", "sent_pressure_kpa", "pressure_kpa"];
 
@@ -51,31 +48,11 @@ const countedTo = (state, { ended, to }) => (state === "reached" ? to : ended);
 function closest(t, { tip_y_m, tip_z_m }, { y_m, z_m }, to, most) {
   let best = null;
   for (let at = 0; at <= to; at += FINE_S) {
-    const m = Math.hypot(between(t, tip_y_m, at) - y_m, between(t, tip_z_m, at) - z_m);
+    const m = Math.hypot(valueBetween(t, tip_y_m, at) - y_m, valueBetween(t, tip_z_m, at) - z_m);
     if (m < (best?.m ?? most)) best = { at, m };
   }
   return best;
 }
 
-// Return a value between two ticks by a cubic through their neighbours; NaN where a tick has none.
-function between(t, values, time) {
-  const i = Math.min(Math.max(sampleAt(t, time), 0), t.length - 1);
-  const [a, b, long] = [values[i], values[i + 1], t[i + 1] - t[i]];
-  if (!finite(a)) return NaN;
-  if (!finite(b) || !(long <= GAP_S) || time <= t[i]) return a;
-  const slope = (k) => {
-    const [p, n] = [finite(values[k - 1]) && t[k] - t[k - 1] <= GAP_S ? k - 1 : k, finite(values[k + 1]) && t[k + 1] - t[k] <= GAP_S ? k + 1 : k];
-    return ((values[n] - values[p]) / (t[n] - t[p])) * long;
-  };
-  const [u, m, n] = [(time - t[i]) / long, slope(i), slope(i + 1)];
-  return a + u * (m + u * (3 * (b - a) - 2 * m - n + u * (2 * (a - b) + m + n)));
-}
-
 // Return y and z of every body as columns over the ticks of a swing.
 export const bodyColumns = ({ bodies }) => bodies[0].map((_, b) => [0, 1].map((axis) => bodies.map((tick) => tick[b]?.[axis] ?? null)));
-
-// Return y and z at a time between two ticks, from their columns; null if they are not tracked.
-export function spotAt(t, columns, time) {
-  const spot = columns.map((column) => between(t, column, time));
-  return spot.every(finite) ? spot : null;
-}

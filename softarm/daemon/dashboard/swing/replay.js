@@ -1,10 +1,11 @@
 // The replay of one swing: the arm in slow motion with its closest moment, the result in words, and charts on the same time.
 // Needs nothing from the daemon: a saved swing is this module with its data.
 
+/* global spotBetween */
 import { Arm } from "../view/arm.js";
 import { Charts, ROBOT } from "../view/chart.js";
 import { el, finite, number, sentence, setText, worded } from "../view/dom.js";
-import { bodyColumns, spotAt } from "./cut.js";
+import { bodyColumns } from "./cut.js";
 
 const SPEEDS = [["1", 1], ["1/2", 0.5], ["1/4", 0.25], ["1/10", 0.1]];
 const SPEED = "1/4";
@@ -82,7 +83,7 @@ export class Replay {
     else this.arm = new Arm(this.drawing, robot);
     const text = closest && `closest ${number(closest.m * 100, 1)} cm`;
     this.columns = bodyColumns(swing);
-    const tip = closest && spotAt(swing.t, [swing.curves.tip_y_m, swing.curves.tip_z_m], closest.at);
+    const tip = closest && spotBetween(swing.t, [swing.curves.tip_y_m, swing.curves.tip_z_m], closest.at);
     this.arm.setGhost(closest && { bodies: this.bodies(closest.at), tip, target: [goal.y_m, goal.z_m], text });
     this.words.className = `result ${swing.state}`;
     this.words.replaceChildren(el("b", {}, OUTCOMES[swing.state] ?? swing.state), ` ${meaning(swing)}`);
@@ -94,14 +95,14 @@ export class Replay {
   }
 
   bodies(time) {
-    return this.columns.map((columns) => spotAt(this.swing.t, columns, time));
+    return this.columns.map((columns) => spotBetween(this.swing.t, columns, time));
   }
 
   go(time) {
     const { swing } = this;
     this.time = time;
     const steps = Math.floor((time - Math.max(swing.t[0], time - TRAIL_S)) / TRAIL_STEP_S);
-    this.arm.trail = Array.from({ length: steps }, (_, k) => spotAt(swing.t, this.columns.at(-1), time - (steps - 1 - k) * TRAIL_STEP_S));
+    this.arm.trail = Array.from({ length: steps }, (_, k) => spotBetween(swing.t, this.columns.at(-1), time - (steps - 1 - k) * TRAIL_STEP_S));
     const state = time < swing.ended ? "running" : swing.state;
     this.arm.draw({ tick: Math.round(time * 1000), bodies: this.bodies(time), goal: { goal: swing.goal, state } });
     this.charts.moment(time);

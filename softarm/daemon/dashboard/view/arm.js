@@ -1,6 +1,6 @@
 // The drawing of the arm from motion capture, updated with every status; also of the moments of a swing.
 
-/* global ARM_RADII_M, armOutline */
+/* global ARM_RADII_M, GOAL_WORDS, armOutline */
 import { svg, finite, number } from "./dom.js";
 import { Plane, scene, withinReach } from "./scene.js";
 
@@ -168,7 +168,6 @@ export class Arm {
   showGoal(goalStatus) {
     const goal = goalStatus?.goal;
     if (goal?.kind !== "reach" || !finite(goal.y_m)) return void this.goal.setAttribute("visibility", "hidden");
-    const word = { running: "target", reached: "reached ✓", failed: "missed ✕", cancelled: "cancelled" }[goalStatus.state] ?? goalStatus.state;
-    this.move(this.goal, goal.y_m, goal.z_m, word, goalStatus.state);
+    this.move(this.goal, goal.y_m, goal.z_m, GOAL_WORDS[goalStatus.state] ?? goalStatus.state, goalStatus.state);
   }
 }
