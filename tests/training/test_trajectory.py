@@ -7,9 +7,9 @@ from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory import ceiling, problem, rows
+from softarm.training.trajectory import ceiling, planner, problem, rows
 from softarm.training.trajectory.guesses import library, nearest, random_knots
-from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
+from softarm.training.trajectory.optimiser import OUTER, UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
 from softarm.training.trajectory.problem import interpolation
 from softarm.training.trajectory.rollout import Rollouts
@@ -20,11 +20,10 @@ REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short for
 
 @pytest.fixture(scope="module")
 def small():
-    """Fewer first guesses and iterations than shipped: enough for these targets."""
+    """Fewer guesses than shipped: enough for these targets."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
         patch.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
-        patch.setattr("softarm.training.trajectory.planner.EACH", 1)
+        patch.setattr("softarm.training.trajectory.planner.TRIES", 1)
         yield
 
 
@@ -66,7 +65,6 @@ def test_plans_keep_a_margin_to_the_limits(report):
 
 
 def test_equal_seeds_give_equal_plans(small, monkeypatch):
-    monkeypatch.setattr("softarm.training.trajectory.optimiser.OUTER", 2)
     one, two = (plan(TARGETS[:1], (0.0,), seed=3).plans for _ in range(2))
     np.testing.assert_array_equal(one.command, two.command)
     np.testing.assert_array_equal(one.steps, two.steps)
@@ -115,6 +113,32 @@ def test_the_gradient_equals_the_slope_of_the_merit(optimiser):
         np.testing.assert_allclose(gradient[:, unknown], slope, rtol=0.08, atol=0.02 * np.abs(gradient).max())
 
 
+def test_a_finished_plan_leaves_its_batch_and_equals_a_plan_made_alone(monkeypatch):
+    knots, steps = (each[0] for each in nearest(library(Rollouts(), 0.0, 512, np.random.default_rng(0)), TARGETS, 1))
+    starts, left = np.zeros(3, dtype=np.float32), []
+    narrow = Optimiser._narrow
+    monkeypatch.setattr(Optimiser, "_narrow", lambda self, kept: (left.append(len(kept)), narrow(self, kept)))
+    together = Optimiser(Rollouts(), Batch(TARGETS, starts, steps)).solve(knots)
+    assert left[0] == 3
+    assert left[-1] == 1  # the target out of reach is tried to the end
+    assert len(left) == OUTER
+    alone = Optimiser(Rollouts(), Batch(TARGETS[1:2], starts[:1], steps[1:2])).solve(knots[1:2])
+    assert together.miss_m[1] < 0.003
+    np.testing.assert_allclose(together.knots[1, : alone.knots.shape[1]] / UNIT, alone.knots[0] / UNIT, atol=1e-2)
+
+
+def test_a_second_guess_replaces_a_plan_that_misses(small, monkeypatch):
+    """The first guess of (-0.3, 0.7) is spoilt; the second one reaches."""
+    spoilt = nearest(library(Rollouts(), 0.0, 512, np.random.default_rng(0)), TARGETS[1:2], 2)
+    spoilt.knots[0], spoilt.steps[0] = 0.0, 12
+    monkeypatch.setattr(planner, "nearest", lambda *_: spoilt)
+    assert np.isnan(plan(TARGETS[1:2]).reached_s[0])
+    monkeypatch.setattr(planner, "TRIES", 2)
+    again = plan(TARGETS[1:2])
+    assert np.isfinite(again.reached_s[0])
+    assert again.plans.steps[0] == spoilt.steps[1, 0]
+
+
 def test_interpolation_is_straight_between_knots():
     matrix = interpolation(8)
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-6)
@@ -125,9 +149,9 @@ def test_initial_guesses_pass_near_their_targets_within_the_rail():
     rollouts = Rollouts()
     swings = library(rollouts, 0.0, 512, np.random.default_rng(0))
     guesses = nearest(swings, TARGETS[:1], 3)
-    commands = np.einsum("tk,rkc->trc", interpolation(problem.STEPS_MAX), guesses.knots)
+    commands = np.einsum("tk,rkc->trc", interpolation(problem.STEPS_MAX), guesses.knots[:, 0])
     flown = rollouts.fly(commands, np.zeros(3, dtype=np.float32))
-    misses = np.hypot(*(flown.tip_m[guesses.steps, np.arange(3)] - TARGETS[0]).T)
+    misses = np.hypot(*(flown.tip_m[guesses.steps[:, 0], np.arange(3)] - TARGETS[0]).T)
     at_rest = np.hypot(*(flown.tip_m[0, 0] - TARGETS[0]))
     assert misses.max() < 0.05 < 0.2 < at_rest
 

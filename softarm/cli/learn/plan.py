@@ -71,9 +71,9 @@ def plan(
         with bar("searching", ROUNDS * len(starts)) as shown:
             found = rows.of_searches(aims, starts, model, seed, shown.advance)
     else:
-        with bar("flying random swings") as shown:
+        with bar("planning") as shown:
             name = model_file.stem if model_file else "seed"
-            report = planner.plan(aims, starts, model, name, seed, lambda text, share: shown.advance(share, text))
+            report = planner.plan(aims, starts, model, name, seed, shown.advance)
         out.parent.mkdir(parents=True, exist_ok=True)
         report.plans.save(out)
         found = rows.of_plans(report)

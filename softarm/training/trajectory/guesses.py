@@ -19,10 +19,10 @@ RAIL_WEIGHT = 2.0  # metres of distance from the target per metre beyond the rai
 
 
 class Guesses(NamedTuple):
-    """Initial guesses, one entry per plan."""
+    """Initial guesses, the best of each target first."""
 
-    knots: Array  # [P, knots, 2]
-    steps: NDArray[np.int64]  # [P]
+    knots: Array  # [tries, G, knots, 2]
+    steps: NDArray[np.int64]  # [tries, G]
 
 
 class Library(NamedTuple):
@@ -56,7 +56,7 @@ def random_knots(count: int, rng: np.random.Generator) -> Array:
 def library(rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator) -> Library:
     """Simulate random swings from a start."""
     knots = random_knots(count, rng)
-    commands = np.einsum("tk,lkc->tlc", interpolation(problem.STEPS_MAX), knots)
+    commands = np.tensordot(interpolation(problem.STEPS_MAX), knots, (1, 1))
     motion = rollouts.fly(commands, np.full(count, cart_start_m, dtype=np.float32))
     reserve = np.abs(problem.stopping_m(motion.state[:, :, 0], motion.state[:, :, 1]))
     beyond = np.maximum.accumulate(np.maximum(reserve - problem.RAIL_MAX_M, 0.0), axis=0)
@@ -64,13 +64,14 @@ def library(rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.
 
 
 def nearest(swings: Library, targets_m: Array, each: int) -> Guesses:
-    """Return the best swings, `each` per target [G, 2], with their best steps, in the targets' order."""
+    """Return the best swings with their best steps, `each` per target [G, 2]."""
     knots, steps = [], []
     for target in targets_m:
-        score = np.hypot(*(swings.tip_m - target).transpose(2, 0, 1)) + RAIL_WEIGHT * swings.beyond_m
+        off = swings.tip_m - target
+        score = np.sqrt(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]) + RAIL_WEIGHT * swings.beyond_m
         score[:STEPS_MIN] = np.inf
         best = score.argmin(axis=0)
         chosen = np.argsort(score[best, np.arange(len(best))])[:each]
         knots.append(swings.knots[chosen])
         steps.append(best[chosen])
-    return Guesses(np.concatenate(knots), np.concatenate(steps))
+    return Guesses(np.stack(knots, axis=1), np.stack(steps, axis=1))

@@ -5,7 +5,6 @@ safe: the effect of an early command on a late step does not grow without bound.
 the simulator, one per knot, so plans include every effect of a model. See docs/training/trajectory.md.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,9 @@ UNIT = np.array([1.0, 10.0], dtype=np.float32)
 NUDGE = np.float32(0.02)
 COST_SCALE = np.float32(1e-4)  # of the whole objective, so that the penalties' weights are near 1
 PENALTY_FIRST, PENALTY_GROWTH, PENALTY_LAST = 10.0, 4.0, 1e4
-OUTER, INNER = 8, 5
+OUTER, INNER = 5, 4
+# A plan is done within these limits, after a round that changed its objective by less than a share.
+MISS_M, BEYOND_M, RAMP_M_S, COST_SHARE = 0.003, 0.001, 0.01, 0.05
 DAMPINGS = np.array([0.03, 0.3, 3.0, 30.0], dtype=np.float32)
 
 
@@ -58,7 +59,7 @@ class _Terms(NamedTuple):
 
 
 class Optimiser:
-    """Optimiser of one batch of plans."""
+    """Optimiser of one batch of plans, from which finished plans are removed."""
 
     def __init__(self, rollouts: Rollouts, batch: Batch) -> None:
         self._rollouts, self._batch = rollouts, batch
@@ -101,7 +102,7 @@ class Optimiser:
         """Fly knots [V, P, 2 K] (units, not physical): V variants of each plan. Robots are variant-major."""
         variants = len(knots)
         shaped = knots.reshape(variants * self._plans, self._knots, 2) * UNIT
-        commands = np.einsum("tk,rkc->trc", self._spread, shaped)
+        commands = np.tensordot(self._spread, shaped, (1, 1))
         return self._rollouts.fly(commands, np.tile(self._batch.cart_start_m, variants))
 
     def _terms(self, knots: Array, motion: Motion) -> _Terms:
@@ -122,24 +123,39 @@ class Optimiser:
 
     # -- the method
 
-    def solve(self, knots_physical: Array, on_iteration: Callable[[], None] | None = None) -> Solution:
-        """Improve knots [P, >= knots, 2]; every plan does OUTER x INNER iterations."""
+    def solve(self, knots_physical: Array) -> Solution:
+        """Improve knots [P, >= knots, 2] until each plan is done, or for OUTER x INNER iterations; runs once."""
         # Start within the bounds; every later step stays there.
         knots = np.clip(knots_physical[:, : self._knots] / UNIT, self._low, self._high).reshape(self._plans, -1)
         penalty = np.full(self._plans, PENALTY_FIRST, dtype=np.float32)
         damping = np.full(self._plans, 1e-2, dtype=np.float32)
         terms = self._terms(knots[None], self._fly(knots[None]))
-        tip, rail, ramp = (np.zeros_like(each[0]) for each in terms[1:])
+        multipliers = tuple(np.zeros_like(each[0]) for each in terms[1:])
+        whole, left = self._solution(knots, terms), np.arange(self._plans)
         for _ in range(OUTER):
             for _ in range(INNER):
-                knots, damping, terms = self._iterate(knots, damping, penalty, (tip, rail, ramp))
-                if on_iteration is not None:
-                    on_iteration()
-            # Bounded: a target out of reach would pull them without end.
-            tip = np.clip(tip + penalty[:, None] * terms.tip[0], -30.0, 30.0)
-            rail = np.clip(rail + penalty[:, None, None] * terms.rail[0], 0.0, 30.0)
-            ramp = np.clip(ramp + penalty[:, None, None] * terms.ramp[0], 0.0, 30.0)
+                knots, damping, terms = self._iterate(knots, damping, penalty, multipliers)
+            multipliers = _raised(multipliers, penalty, terms)
             penalty = np.minimum(penalty * PENALTY_GROWTH, PENALTY_LAST).astype(np.float32)
+            found = self._solution(knots, terms)
+            kept = np.flatnonzero(~_done(found, terms, whole.cost[left]))
+            for all_plans, values in zip(whole, found, strict=True):
+                all_plans[left] = values
+            if not kept.size:
+                break
+            left = left[kept]
+            self._narrow(kept)
+            knots, damping, penalty = knots[kept], damping[kept], penalty[kept]
+            multipliers = tuple(each[kept] for each in multipliers)
+        return whole
+
+    def _narrow(self, kept: NDArray[np.int64]) -> None:
+        """Continue with some of the plans."""
+        self._batch, self._plans = self._batch.part(kept), len(kept)
+        self._on, self._state_weight = self._on[kept], self._state_weight[kept]
+        self._quadratic = self._quadratic[kept]
+
+    def _solution(self, knots: Array, terms: _Terms) -> Solution:
         return Solution(
             knots.reshape(self._plans, self._knots, 2) * UNIT,
             terms.cost[0] / COST_SCALE,
@@ -147,7 +163,7 @@ class Optimiser:
             np.maximum(terms.rail[0].max(axis=(1, 2)), 0.0),
         )
 
-    def _merit(self, terms: _Terms, penalty: Array, multipliers: tuple[Array, Array, Array]) -> Array:
+    def _merit(self, terms: _Terms, penalty: Array, multipliers: tuple[Array, ...]) -> Array:
         """Return the augmented Lagrangian, [V, P]."""
         tip, rail, ramp = multipliers
         weight = penalty[:, None]
@@ -159,7 +175,7 @@ class Optimiser:
         return merit
 
     def _iterate(
-        self, knots: Array, damping: Array, penalty: Array, multipliers: tuple[Array, Array, Array]
+        self, knots: Array, damping: Array, penalty: Array, multipliers: tuple[Array, ...]
     ) -> tuple[Array, Array, _Terms]:
         """Take a Gauss-Newton step with the best of several dampings."""
         hessian, gradient = self._model(knots, penalty, multipliers)
@@ -173,7 +189,7 @@ class Optimiser:
         chosen = _Terms(*(each[best, plans][None] for each in terms))
         return candidates[best, plans], damping, chosen
 
-    def _model(self, knots: Array, penalty: Array, multipliers: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    def _model(self, knots: Array, penalty: Array, multipliers: tuple[Array, ...]) -> tuple[Array, Array]:
         """Return Gauss-Newton matrix [P, 2K, 2K] and gradient [P, 2K] of the augmented Lagrangian."""
         unknowns, plans = 2 * self._knots, self._plans
         variants = np.repeat(knots[None], 1 + unknowns, axis=0)
@@ -229,3 +245,19 @@ class Optimiser:
         matrix[:, diagonal, diagonal] += damping[:, None] + (1.0 - free)
         step = np.linalg.solve(matrix, (-gradient * free)[..., None].astype(np.float64))[..., 0]
         return np.clip(knots + step.astype(np.float32), low, high)
+
+
+def _raised(multipliers: tuple[Array, ...], penalty: Array, terms: _Terms) -> tuple[Array, ...]:
+    """Return the multipliers after a round, bounded: a target out of reach would pull them without end."""
+    raised = [
+        each + penalty.reshape(-1, *(1 for _ in each.shape[1:])) * value[0]
+        for each, value in zip(multipliers, terms[1:], strict=True)
+    ]
+    return tuple(np.clip(each, low, 30.0) for each, low in zip(raised, (-30.0, 0.0, 0.0), strict=True))
+
+
+def _done(found: Solution, terms: _Terms, cost_before: Array) -> Mask:
+    """Return which plans keep their constraints and cost hardly less than a round before, [P]."""
+    near = (found.miss_m <= MISS_M) & (found.beyond_m <= BEYOND_M) & (terms.ramp[0].max(axis=(1, 2)) <= RAMP_M_S)
+    done: Mask = near & (np.abs(found.cost - cost_before) <= COST_SHARE * found.cost)
+    return done

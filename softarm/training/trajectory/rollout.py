@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas.config import RailLimits
 from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
@@ -33,12 +34,16 @@ class Motion(NamedTuple):
 
 
 class Rollouts:
-    """Roll-outs on simulators cached by batch size, as creating one costs more than a step."""
+    """Roll-outs of a model at a rate of physics; `limits` are those of the braking clamp."""
 
-    def __init__(self, model: Model | None = None, physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> None:
+    def __init__(
+        self,
+        model: Model | None = None,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        limits: RailLimits | None = None,
+    ) -> None:
         self.model = model or Model()
-        self._physics_rate_hz = physics_rate_hz
-        self._simulators: dict[int, Simulator] = {}
+        self._physics_rate_hz, self._limits = physics_rate_hz, limits
 
     def fly(self, commands: Array, cart_start_m: Array, guarded: bool = False) -> Motion:
         """Fly commands [steps, R, 2] (m/s, kPa) from straight, vented arms at rest, carts at [R].
@@ -46,11 +51,9 @@ class Rollouts:
         With `guarded`, velocities pass the daemon's braking clamp.
         """
         steps, robots = commands.shape[:2]
-        if robots not in self._simulators:
-            self._simulators[robots] = Simulator(self.model, robots=robots, physics_rate_hz=self._physics_rate_hz)
-        simulator = self._simulators[robots]
+        simulator = Simulator(self.model, robots=robots, physics_rate_hz=self._physics_rate_hz)
         simulator.reset(cart_position_m=cart_start_m)
-        guard = RailGuard(robots, CONTROL_PERIOD_S) if guarded else None
+        guard = RailGuard(robots, CONTROL_PERIOD_S, self._limits) if guarded else None
         n = simulator.links
         state = np.empty((steps + 1, robots, 2 + 2 * n), dtype=np.float32)
         tip = np.empty((steps + 1, robots, 2), dtype=np.float32)
@@ -62,6 +65,7 @@ class Rollouts:
             if guard is not None:
                 sent[k, :, 0] = guard.apply(sent[k, :, 0], state[k, :, 0], state[k, :, 1])
             simulator.step(sent[k, :, 0], sent[k, :, 1], CONTROL_PERIOD_S)
+        _against_each_other(state, n)
         return Motion(state, tip, sent)
 
     def settled_pose(self, pressure_kpa: float) -> Array:
@@ -70,17 +74,24 @@ class Rollouts:
         simulator.step(0.0, pressure_kpa, 10.0)
         state, tip = np.empty((1, 2 + 2 * simulator.links), dtype=np.float32), np.empty((1, 2), dtype=np.float32)
         _look(simulator, state, tip)
+        _against_each_other(state, simulator.links)
         state[0, 2 + simulator.links :] = 0.0
         pose: Array = state[0]
         return pose
 
 
 def _look(simulator: Simulator, state: Array, tip: Array) -> None:
+    """Read a state with absolute angles and rates of the links, and the tip."""
     n = simulator.links
     state[:, 0] = simulator.cart_position_m
     state[:, 1] = simulator.cart_velocity_m_s
-    state[:, 2 : 2 + n] = simulator.joint_angles_rad
-    rates = simulator.link_rates_rad_s
-    state[:, 2 + n] = rates[:, 0]
-    state[:, 3 + n :] = np.diff(rates, axis=1)
+    state[:, 2 : 2 + n] = simulator.link_angles_rad
+    state[:, 2 + n :] = simulator.link_rates_rad_s
     tip[:] = simulator.tip_m()
+
+
+def _against_each_other(state: Array, links: int) -> None:
+    """Turn absolute angles and rates of links into those of joints, in place."""
+    for first in (2, 2 + links):
+        for link in range(first + links - 1, first, -1):
+            state[..., link] -= state[..., link - 1]

@@ -10,10 +10,9 @@ from tests.cli.invoke import invoke
 
 @pytest.fixture
 def small(monkeypatch):
-    """Reduce first guesses and iterations to the number that these targets need."""
-    monkeypatch.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
+    """Reduce first guesses to the number that these targets need."""
     monkeypatch.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
-    monkeypatch.setattr("softarm.training.trajectory.planner.EACH", 1)
+    monkeypatch.setattr("softarm.training.trajectory.planner.TRIES", 1)
 
 
 def test_plan_writes_plans_and_results(small, tmp_path):
