@@ -16,6 +16,7 @@ from softarm.daemon.config import keys
 from softarm.daemon.control import failsafe
 from softarm.daemon.control.inbox import Inbox
 from softarm.diagnosis.blind import pages
+from softarm.evaluation import leaderboard
 from softarm.reality import parameters, quantities
 from softarm.schemas import stage_model
 from softarm.schemas.config import Config
@@ -132,6 +133,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "effects": effects_page.markdown,
     "exit-codes": exit_codes,
     "failsafe-events": failsafe.markdown,
+    "leaderboard": lambda: leaderboard.markdown(leaderboard.load(ROOT / "benchmarks/leaderboard.json")),
     "reality-parameters": lambda: quantities.table(*parameters.GROUPS),
     "rest-schemas": rest_schemas,
     "stage-keys": stage_model.table,

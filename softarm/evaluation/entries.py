@@ -23,6 +23,7 @@ class Entry(NamedTuple):
     seed: int | None = None  # None: not trained
     file: Path | None = None  # of an ONNX policy; None: the registry knows the name
     trained: TrainingRange | None = None
+    sha256: str | None = None  # of the ONNX file, also of a shipped one
 
 
 def given(policies: Sequence[str], config: Config | None = None) -> list[Entry]:
@@ -90,7 +91,7 @@ def _registered(known: registry.PolicyEntry) -> Entry:
     if not _takes_targets(known):
         raise PolicyError(f"policy {known.name}: it takes no targets; allowed: a policy that reaches for targets")
     seed = OnnxPolicy(str(known.options["model"])).metadata.seed if known.plugin == "onnx" else None
-    return Entry(known.name, seed, trained=known.spec.trained)
+    return Entry(known.name, seed, None, known.spec.trained, known.spec.sha256)
 
 
 def _at_path(word: str, known: Mapping[str, registry.PolicyEntry]) -> Rows:
@@ -152,4 +153,4 @@ def _seed(file: Path) -> int | None:
 def _read(name: str, file: Path, seed: int | None = None) -> Entry:
     """Load an ONNX file and return its row; the seed defaults to that of the file."""
     policy = OnnxPolicy(str(file))
-    return Entry(name, policy.metadata.seed if seed is None else seed, file, policy.spec.trained)
+    return Entry(name, policy.metadata.seed if seed is None else seed, file, policy.spec.trained, policy.spec.sha256)

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypedDict
 import numpy as np
 
 from softarm.common.processes import as_they_come
+from softarm.common.shares import Share, share
 from softarm.evaluation.entries import CEILING, Entry
 from softarm.evaluation.runner import Robot, fly, load
 from softarm.evaluation.tests import COLUMNS, TESTS, flies_the_targets, robot, scenarios, title
@@ -61,6 +62,7 @@ class Figure(TypedDict):
     mean: float
     spread: float | None
     values: list[float]
+    counted: Share  # of the trials of all seeds
     refused: float  # share of trials for which the policy had no answer; they count as not reached
 
 
@@ -192,7 +194,9 @@ def _inside(goal: Goal, made_for: TrainingRange | None) -> bool:
 def _figure(seeds: list[Cell]) -> Figure:
     values = [mean(score.reached for score in seed.scores) for seed in seeds]
     refused = mean(score.refusal is not None for seed in seeds for score in seed.scores)
-    return Figure(mean=mean(values), spread=stdev(values) if len(values) > 1 else None, values=values, refused=refused)
+    counted = share(score.reached for seed in seeds for score in seed.scores)
+    spread = stdev(values) if len(values) > 1 else None
+    return Figure(mean=mean(values), spread=spread, values=values, counted=counted, refused=refused)
 
 
 def _notes(seeds: list[Cell]) -> list[str]:

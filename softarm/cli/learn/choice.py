@@ -24,6 +24,7 @@ class Choice:
     film: Path | None
     target: tuple[float, float] | None
     workers: int | None
+    leaderboard: Path | None
     json_file: Path | None
 
     def check(self) -> None:
@@ -42,4 +43,6 @@ class Choice:
             raise click.UsageError(f"--test {own[0]} names a model itself: omit --model, or @ and what follows")
         if self.target and self.film is None:
             raise click.UsageError("--target Y Z is the target of the film: add --film FILE.gif")
-        check_places(self.json_file, self.report, self.film)
+        if self.leaderboard and self.model_file:
+            raise click.UsageError("--leaderboard holds results of the seed's simulator: omit --model")
+        check_places(self.json_file, self.report, self.film, self.leaderboard)

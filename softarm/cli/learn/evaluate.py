@@ -11,7 +11,7 @@ import click
 from softarm.cli.learn.choice import Choice
 from softarm.cli.learn.film import film
 from softarm.cli.shared.completion import policies_and_files
-from softarm.cli.shared.errors import failing
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
@@ -28,6 +28,7 @@ from softarm.common.processes import bar, cores
 
 if TYPE_CHECKING:
     from softarm.evaluation.entries import Entry
+    from softarm.evaluation.leaderboard import Row
     from softarm.schemas.config import Config
     from softarm.schemas.model import Model
 
@@ -64,6 +65,9 @@ def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> N
 @click.option("--only", multiple=True, metavar="NAME", help="With --all: only this policy, or `ceiling`; repeatable.")
 @click.option("--test", "tests", multiple=True, help="Fly this test, TEST or TEST@MODEL; repeatable.")
 @click.option("--matrix", is_flag=True, help="With --runs: fly the sweep alone, on every shipped model.")
+@click.option(
+    "--leaderboard", type=FILE, help="Add the results to this file, or check the entry of the same policy in it."
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of a comparison.  [default: one per core]")
 def evaluate(**chosen: Any) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
@@ -79,6 +83,7 @@ def evaluate(**chosen: Any) -> None:
     Examples:
       softarm evaluate reach --json reach.json
       softarm evaluate mine.onnx runs/mine reach pid --config mine.yaml --report out.html
+      softarm evaluate mine.onnx --leaderboard leaderboard.json     add an entry, or reproduce it
       softarm evaluate runs/mine --film swing.gif --target -0.3 0.65
       softarm evaluate --all --json all.json --report all.html
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
@@ -91,7 +96,8 @@ def evaluate(**chosen: Any) -> None:
     with failing(ValueError):
         tests = _tests(choice)
         found = _entries(choice, tests, config)
-        compared = choice.compare_all or choice.matrix or choice.tests or choice.report or _needs_table(found)
+        wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
+        compared = wanted or _needs_table(found)
         if choice.workers is not None and not compared:
             raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several policies")
         write_film = None if choice.film is None else film(choice.film, choice.target, found, tests, config)
@@ -143,14 +149,35 @@ def _needs_table(found: "Sequence[Entry]") -> bool:
 
 
 def _compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
-    from softarm.evaluation import page, table
+    from softarm.evaluation import leaderboard, page, table
+    from softarm.schemas.config import Config
 
+    if choice.leaderboard is not None:
+        leaderboard.load(choice.leaderboard)
+        if (config.limits, config.goals) != (Config().limits, Config().goals):
+            raise ValueError("--leaderboard: results need the default limits and goals: omit both in --config")
+    command = shlex.join(["softarm", *sys.argv[1:]])
     with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
         result = table.compare(found, choice.workers or cores(), tests, shown.advance, config)
     click.echo(page.markdown(result), nl=False)
     write_json(choice.json_file, result)
     if choice.report is not None:
-        write(choice.report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
+        write(choice.report, page.html(result, command))
+    if choice.leaderboard is not None:
+        _rank(choice.leaderboard, leaderboard.rows(result, found, command))
+
+
+def _rank(file: Path, rows: "list[Row]") -> None:
+    """Add rows to a leaderboard, or end the command with exit code 1 if an entry is not reproduced."""
+    from softarm.evaluation import leaderboard
+
+    before = leaderboard.load(file)
+    board, sentences, same = leaderboard.merged(before, rows)
+    click.echo("\n".join(sentences))
+    if board != before:
+        write(file, leaderboard.text(board))
+    if not same:
+        fail(f"{file}: not every entry was reproduced; check revision and configuration")
 
 
 def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:

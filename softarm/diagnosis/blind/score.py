@@ -4,20 +4,19 @@ Answers about the soft arm give shares, calibration, coverage and a list of the 
 defines the measures. Answers about rigs give one outcome for each case (docs/evidence/rigs.md).
 """
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from statistics import median
 from typing import Any, Final, Literal, get_args
 
+from softarm.common.shares import Share, share
 from softarm.diagnosis.blind import rig_sizes
 from softarm.diagnosis.blind.imperfections import SAME_SIZE, Cause
 from softarm.reality.rigs.case import CATEGORIES
 from softarm.schemas.verdict import Interval, NamedEffect, Verdict
 
 BINS = 10
-_Z95 = 1.959964
 SET_MAX = 2
 
 
@@ -80,18 +79,6 @@ def answer_set(effect: NamedEffect) -> frozenset[str]:
     return frozenset((effect.name, *effect.equivalents))
 
 
-def share(hits: Iterable[bool]) -> dict[str, float | int | None]:
-    """Return the share of hits with its 95 % interval (Wilson 1927) and counts; the share of no cases is None."""
-    found = list(hits)
-    n, k = len(found), sum(found)
-    if n == 0:
-        return {"share": None, "low": None, "high": None, "hits": 0, "of": 0}
-    p, z2 = k / n, _Z95**2
-    middle, half = p + z2 / (2 * n), _Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
-    low, high = (max(0.0, (middle - half) / (1 + z2 / n)), min(1.0, (middle + half) / (1 + z2 / n)))
-    return {"share": p, "low": low, "high": high, "hits": k, "of": n}
-
-
 ALONE, SEVERAL = ("single",), ("two", "three")
 _SAID: dict[str, Callable[[Scored], bool]] = {
     "exact": lambda s: sorted(s.names) == sorted(s.cause_names),
@@ -135,7 +122,7 @@ def score(cases: Sequence[Scored]) -> dict[str, Any]:
     }
 
 
-def by_cause(cases: Sequence[Scored]) -> dict[str, dict[str, float | int | None]]:
+def by_cause(cases: Sequence[Scored]) -> dict[str, Share]:
     """Return the share of right answers for each single cause; ' (removed)' marks those removed from the model file."""
     hits: dict[str, list[bool]] = {}
     for case in cases:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from softarm.diagnosis.blind.imperfections import Cause
-from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
+from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score
 from tests.diagnosis.verdicts import effect, verdict
 
 
@@ -74,13 +74,6 @@ def test_every_wrong_answer_is_listed_with_the_truth():
     assert (one["causes"], one["verdict"], one["named"][0]["name"]) == (["rail.lag (removed)"], "named", "rail.delay")
     assert other["verdict"] == "failed: it fell"
     assert found["by_cause"]["rail.lag (removed)"]["hits"] == 0
-
-
-def test_a_share_has_a_wilson_interval():
-    found = share([True] * 8 + [False] * 2)
-    assert (found["share"], found["hits"], found["of"]) == (0.8, 8, 10)
-    assert (found["low"], found["high"]) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Newcombe 1998's method 3
-    assert share([])["share"] is None
 
 
 def test_the_calibration_error_is_weighted_by_bin_size():
