@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from benchmarks import results
 from benchmarks.tables import TABLES
 from benchmarks.ticks import Ticks
-from softarm.common.processes import as_they_come, bar
+from softarm.common import batch
+from softarm.common.batch import Workers
+from softarm.common.batch_options import workers_options
 from softarm.daemon.control.alignment import ReadingHistory
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.plausibility import CART, TIP
@@ -249,13 +251,13 @@ def fit() -> TipModel:
     show_default=True,
     help="Duration of a dropout, ms; may be repeated.",
 )
-@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Number of processes.")
+@workers_options()
 @results.json_option
 def main(
     fitting: bool,
     bodies: Sequence[str],
     dropouts_ms: Sequence[int],
-    processes: int,
+    workers: Workers,
     json_file: Path | None,
 ) -> None:
     """Print the results of flights with dropouts for each reaction, and the errors of the estimated tip.
@@ -268,12 +270,9 @@ def main(
         for name, number in fit()._asdict().items():
             click.echo(f"{name}: {number:.4g}")
         return
-    jobs = [Job("reach", body, ms, way) for body in bodies for ms in dropouts_ms for way in WAYS]
-    flights = []
-    with bar("flying", len(jobs)) as shown:
-        for job, counts in as_they_come(fly, jobs, processes):
-            flights.append(job._asdict() | counts)
-            shown.advance(1)
+    todo = [Job("reach", body, ms, way) for body in bodies for ms in dropouts_ms for way in WAYS]
+    found = batch.run("flying", fly, {str(job): job for job in todo}, workers).complete()
+    flights = [job._asdict() | found[str(job)] for job in todo]
     figures = {"flights": flights, "tip_rms_m": {body: errors(body) for body in bodies}}
     results.report("bridging", figures, json_file)
     click.echo(TABLES["estimates"](lambda _: figures))

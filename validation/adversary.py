@@ -19,7 +19,10 @@ import click
 import numpy as np
 
 from benchmarks import results
-from softarm.common.processes import as_they_come, bar
+from softarm.common import batch
+from softarm.common.batch import Workers
+from softarm.common.batch_options import workers_options
+from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
@@ -239,10 +242,10 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
 @click.option("--ticks", default=100_000, show_default=True, help="Of robots, at least; whole worlds are flown.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--through", type=click.Choice(["law", "tick"]), default="law", show_default=True)
-@click.option("--jobs", default=2, show_default=True, help="Worlds flown at once.")
+@workers_options()
 @click.option("--cost", "with_cost", is_flag=True, help="Instead: what the promise costs the shipped policies.")
 @results.json_option
-def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_file: Path | None) -> None:
+def main(ticks: int, seed: int, through: str, workers: Workers, with_cost: bool, json_file: Path | None) -> None:
     """Attack the safety filter; exit with 1 if the cart came farther than promised.
 
     \b
@@ -257,12 +260,9 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
     started = time.perf_counter()
     ticks_of_a_world = (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD
     worlds = -(-ticks // ticks_of_a_world)
-    seeds, found = range(seed * 1_000_000, seed * 1_000_000 + worlds), {}
-    with bar("worlds", worlds) as shown:
-        for number, each in as_they_come(partial(_attacked, through), seeds, jobs):
-            found[number] = each
-            shown.advance(1)
-    figures = summed([found[number] for number in seeds])
+    seeds = {f"seed {number}": number for number in range(seed * 1_000_000, seed * 1_000_000 + worlds)}
+    found = batch.run("worlds", partial(_attacked, through), seeds, workers).complete()
+    figures = summed(list(found.values()))
     figures |= {"through": through, "seed": seed, "wall_s": round(time.perf_counter() - started, 1)}
     results.write(json_file, figures)
     farthest_mm, allowed_mm = 1e3 * figures["worst"][0]["beyond_m"], 1e3 * RAIL_EXCURSION_M

@@ -6,15 +6,16 @@ Every flight runs the daemon's tick in lockstep. The table shows which faults po
 are worth a diagnosis. Needs the extra `mujoco`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from benchmarks import results
 from softarm.cli.shared.errors import failing
-from softarm.common.processes import WorkerDied, as_they_come, bar, cores
-from softarm.evaluation.evaluation import FLIGHTS
+from softarm.common import batch
+from softarm.common.batch import JobsFailed
+from softarm.common.processes import WorkerDied
 from softarm.evaluation.robots import with_faults
 from softarm.evaluation.runner import fly, load
 from softarm.policies import registry
@@ -47,24 +48,21 @@ FAULTS = (
 )
 
 
-def measure(policies: Sequence[str], advance: Callable[[int], None]) -> dict[str, dict[str, float]]:
-    """Return fault -> policy -> share of the 162 flights that reached their target; `advance` counts flights.
+def measure(policies: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return fault -> policy -> share of the 162 flights that reached their target.
 
     Raises PolicyError if a policy cannot be loaded.
     """
     robots = {"none": RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in FAULTS}
     for policy in policies:
         registry.load(policy)  # fail before minutes of work
-    todo = [(policy, fault, robot) for fault, robot in robots.items() for policy in policies]
-    found: dict[str, dict[str, float]] = {fault: {} for fault in robots}
-    for (policy, fault, _), share in as_they_come(_fly, todo, cores()):
-        found[fault][policy] = share
-        advance(FLIGHTS)
-    return {fault: {policy: reached[policy] for policy in policies} for fault, reached in found.items()}
+    todo = {f"{policy}, {fault}": (policy, robot) for fault, robot in robots.items() for policy in policies}
+    found = batch.run("flying", _fly, todo).complete()
+    return {fault: {policy: found[f"{policy}, {fault}"] for policy in policies} for fault in robots}
 
 
-def _fly(job: tuple[str, str, RobotParameters]) -> float:
-    policy, _, robot = job
+def _fly(job: tuple[str, RobotParameters]) -> float:
+    policy, robot = job
     flown = fly(load(policy), robot, flights.grid())
     return sum(flight.reached for flight in flown) / len(flown)
 
@@ -79,8 +77,8 @@ def main(policies: tuple[str, ...], json_file: Path | None) -> None:
     Example:
       python -m validation.faults --policy reach --policy pid --json faults.json
     """
-    with failing(PolicyError, WorkerDied), bar("flying", (1 + len(FAULTS)) * len(policies) * FLIGHTS) as shown:
-        found = measure(policies, shown.advance)
+    with failing(PolicyError, WorkerDied, JobsFailed):
+        found = measure(policies)
     results.report("faults", found, json_file)
 
 

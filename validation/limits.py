@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.ticks import Ticks
-from softarm.common.processes import as_they_come, bar, cores
+from softarm.common import batch
 from softarm.daemon.control.records import Mode
 from softarm.daemon.limits.findings import EXCITATION, findings
 from softarm.daemon.runtime.offline import Lockstep
@@ -178,12 +178,8 @@ def main(json_file: Path | None) -> None:
     Example:
       python -m validation.limits --json limits.json
     """
-    rows = {}
-    with bar("measuring, patching, attacking", len(ROBOTS)) as shown:
-        for robot, figures in as_they_come(tried, ROBOTS, cores()):
-            rows[robot] = figures
-            shown.advance(1)
-    results.report("limits", {"rows": [rows[robot] for robot in ROBOTS]}, json_file)
+    rows = batch.run("measuring, patching, attacking", tried, {str(robot): robot for robot in ROBOTS}).complete()
+    results.report("limits", {"rows": list(rows.values())}, json_file)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Atomic writing of files: a reader, also after a crash, finds either the old file or the new one."""
 
+import hashlib
 import os
 import secrets
 import stat
@@ -18,6 +19,15 @@ def write_bytes(path: Path | str, content: bytes) -> None:
     """Replace a file by the given bytes."""
     with replacing(path) as file:
         file.write(content)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, or of all files in a folder; the name of the path itself does not count."""
+    if not path.is_dir():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    inside = sorted(each for each in path.rglob("*") if each.is_file())
+    lines = (f"{each.relative_to(path)} {sha256_of(each)}\n" for each in inside)
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 @contextmanager

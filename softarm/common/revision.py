@@ -1,11 +1,13 @@
 """Identity of the software and the computer, as recorded in logs, policies and results."""
 
+import hashlib
 import importlib.metadata
 import os
 import platform
 import subprocess
 import sys
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 
 from softarm import __version__
@@ -14,6 +16,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 CHECKOUT = PACKAGE.parent
 # Time limit of git, also on a busy computer.
 GIT_S = 10.0
+# Files that decide results.
+_CODE = (".py", ".yaml", ".json", ".onnx", ".npz")
 
 
 def revision(root: Path = CHECKOUT) -> str:
@@ -43,6 +47,19 @@ def software(packages: Iterable[str] = ()) -> dict[str, str]:
         "python": sys.version.split()[0],
         **{name: _version(name) for name in packages},
     }
+
+
+@lru_cache
+def code_version(*packages: str, without: str = "") -> str:
+    """Return the version of softarm with a hash of its code and policies, or of some of its packages.
+
+    `without` is the name of a folder that does not count. Equal texts mean equal results, wherever a job ran.
+    """
+    roots = [PACKAGE / name for name in packages or ("",)]
+    found = sorted(path for root in roots for path in root.rglob("*") if path.suffix in _CODE)
+    found = [path for path in found if without not in path.parts]
+    lines = [f"{path.relative_to(PACKAGE)} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in found]
+    return f"{__version__}+{hashlib.sha256(chr(10).join(lines).encode()).hexdigest()[:12]}"
 
 
 def machine() -> dict[str, str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from softarm.common.processes import cores
 from softarm.diagnosis.data.folder import is_trial
-from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.data.read import read_all, stage_of_folder
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.diagnose import BUDGET_S, diagnose
 from softarm.diagnosis.engine.result import Diagnosis
@@ -23,8 +23,9 @@ def diagnose_files(
     progress: Progress = lambda what, share: None,
     warn: Callable[[str], None] = lambda text: None,
     budget_s: float = BUDGET_S,
+    processes: int | None = None,
 ) -> Diagnosis:
-    """Diagnose logs, trial folders, campaigns or the stage.yaml of a rig.
+    """Diagnose logs, trial folders, campaigns, or the stage.yaml of a rig or its folder.
 
     Args:
         inputs: files and folders to read.
@@ -33,6 +34,7 @@ def diagnose_files(
         progress: called with the current step and the finished share, 0 to 1.
         warn: called with a text for the user.
         budget_s: processor time for a rig, s; of longer recordings only the most informative stretches are used.
+        processes: number of a rig's stages that are diagnosed at the same time, by default one per core.
 
     Raises:
         TrialError: the inputs cannot be compared, or their campaigns have different models.
@@ -42,6 +44,7 @@ def diagnose_files(
     def reading(source: Path) -> None:
         progress(f"reading {source.name}", 0.0)
 
+    inputs = [stage_of_folder(path) for path in inputs]
     trials = read_all(inputs, reading, data)
     nominal = None
     if any(trial.stage is None for trial in trials):  # tables of a rig bring their own
@@ -53,7 +56,7 @@ def diagnose_files(
     def later(what: str, share: float) -> None:
         progress(what, _READING + share * (1 - _READING))
 
-    return diagnose(trials, nominal, later, cores(), budget_s)
+    return diagnose(trials, nominal, later, processes or cores(), budget_s)
 
 
 def _of_the_campaign(inputs: Sequence[Path]) -> Model | None:

@@ -4,14 +4,18 @@ The ceiling, an open-loop search that knows the simulator, is one of the rows.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from statistics import mean, stdev
 from typing import NamedTuple, TypedDict
+from urllib.parse import quote
 
 import numpy as np
 
-from softarm.common.processes import as_they_come
+from softarm.common.batch import Kept, Work, Workers, run
+from softarm.common.files import sha256_of
+from softarm.common.revision import code_version
 from softarm.common.shares import Share, share
 from softarm.evaluation.entries import CEILING, Entry
 from softarm.evaluation.runner import Robot, fly, load
@@ -105,25 +109,57 @@ def measure(job: Job, config: Config | None = None) -> list[Score]:
 
 def compare(
     found: Sequence[Entry],
-    processes: int,
+    workers: Workers | None = None,
     tests: Sequence[str] = tuple(TESTS),
-    advance: Callable[[int], None] = lambda trials: None,
     config: Config | None = None,
+    keep: Path | None = None,
 ) -> Comparison:
-    """Fly every row in every test; the number of processes does not change the figures.
+    """Fly every row in every test; the place of the jobs does not change the figures.
 
-    `advance` receives the number of trials that have just been flown.
+    Args:
+        found: Rows of the table.
+        workers: Place that the jobs run at.
+        tests: Columns of the table.
+        config: Configuration; by default its default values.
+        keep: Folder of finished jobs, from which a restart continues.
+
+    Raises:
+        JobsFailed: A policy could not be flown.
     """
-    todo = jobs(found, tests)
-    flown: dict[Job, list[Score]] = {}
-    for job, scores in as_they_come(partial(measure, config=config), todo, processes):
-        flown[job] = scores
-        advance(len(job.part))
-    result = summary({job: flown[job] for job in todo})
+    todo = {_key(job): job for job in jobs(found, tests)}
+    work = Work(partial(_scores, config=config), reads=partial(_files, config=config))
+    kept = None
+    if keep is not None:
+        kept = Kept(lambda key: keep / f"{quote(key, safe=' @')}.json", lambda key: _origin(todo[key], config))
+    done = run("flying", work, todo, workers, kept=kept, cost=lambda job: len(job.part)).complete()
+    result = summary({todo[key]: [Score(*score) for score in flown["scores"]] for key, flown in done.items()})
     if config is not None and config.limits != Config().limits and CEILING in result["policies"]:
         for column in result["policies"][CEILING]:
             result["notes"].setdefault(CEILING, {}).setdefault(column, []).append(DEFAULT_LIMITS)
     return result
+
+
+def _scores(job: Job, config: Config | None) -> dict[str, list[Score]]:
+    return {"scores": measure(job, config)}
+
+
+def _key(job: Job) -> str:
+    file = "" if job.entry.file in (None, Path(job.entry.name)) else f" ({job.entry.file})"
+    return f"{job.entry.name}{file}, {job.test}, flights {job.part.start} to {job.part[-1]}"
+
+
+def _files(job: Job, config: Config | None) -> list[Path]:
+    """Return the files that a job reads: of its policy, of its model and of the configuration."""
+    options = [str(option) for policy in (config or Config()).policies.values() for option in policy.options.values()]
+    named = [Path(name) for name in (job.test.partition("@")[2], *options) if name]
+    return [path for path in (job.entry.file, *named) if path is not None and path.is_file()]
+
+
+def _origin(job: Job, config: Config | None) -> dict[str, object]:
+    """Return whatever decides the result of a job."""
+    named = repr(job._replace(entry=job.entry._replace(file=None)))
+    files, settings = [sha256_of(path) for path in _files(job, config)], config and config.model_dump(mode="json")
+    return {"code": code_version(), "job": named, "files": files, "config": settings}
 
 
 def summary(flown: dict[Job, list[Score]]) -> Comparison:

@@ -64,11 +64,15 @@ def load(name: Path | str) -> Model:
 
 def save(model: Model, path: Path | str) -> None:
     """Write all keys of a model, so that `load` returns an equal one."""
+    files.write_text(path, text(model))
+
+
+def text(model: Model) -> str:
+    """Return the content of a model's file."""
     # JSON mode, so that tuples are lists; `sort_keys` off, so that the file keeps the order of the schema.
     data = model.model_dump(mode="json", exclude={"effects"})
     data["effects"] = {name: dict(given) for name, given in model.effects.items()}
-    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=200)
-    files.write_text(path, _HEADER + text)
+    return _HEADER + yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=200)
 
 
 def fingerprint(model: Model) -> str:

@@ -1,5 +1,6 @@
 """Atomic writing of files, also after errors and kills."""
 
+import hashlib
 import os
 import stat
 import threading
@@ -81,3 +82,14 @@ def test_an_error_names_the_file_and_not_its_draft(tmp_path):
     with pytest.raises(FileNotFoundError) as raised:
         files.write_text(tmp_path / "no" / "a.txt", "new")
     assert raised.value.filename == str(tmp_path / "no" / "a.txt")
+
+
+def test_the_digest_of_a_folder_covers_names_and_contents_but_not_its_own_name(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name / "inside").mkdir(parents=True)
+        (tmp_path / name / "inside" / "a").write_text("text")
+    before = files.sha256_of(tmp_path / "one")
+    assert files.sha256_of(tmp_path / "other") == before
+    assert files.sha256_of(tmp_path / "one" / "inside" / "a") == hashlib.sha256(b"text").hexdigest()
+    (tmp_path / "one" / "inside" / "a").rename(tmp_path / "one" / "inside" / "b")
+    assert files.sha256_of(tmp_path / "one") != before

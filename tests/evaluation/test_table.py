@@ -5,10 +5,13 @@ import re
 import numpy as np
 import pytest
 
+from softarm.common.batch import JobsFailed, Workers
 from softarm.evaluation import entries, page, table, tests
 from softarm.evaluation.entries import Entry
 from softarm.evaluation.table import Job, Score
+from softarm.policies.base import PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.config import Config, Failsafe
 from softarm.training.trajectory import ceiling
 
 pytestmark = pytest.mark.slow
@@ -16,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 def test_a_test_on_another_model_has_a_separate_column():
     found = entries.given(("pid",))
-    result = table.compare(found, 1, ("shelf@no-delay",))
+    result = table.compare(found, Workers(1), ("shelf@no-delay",))
     assert list(result["policies"]["pid"]) == ["shelf@no-delay"]
     assert "on no-delay" in page.markdown(result)
 
@@ -43,7 +46,7 @@ def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
         return ceiling.Ceiling(np.full(54, start_m), np.where(targets_m[:, 1] < 0.6, start_m, np.nan))
 
     monkeypatch.setattr(ceiling, "search", search)
-    result = table.compare([Entry("ceiling")], 1, ("grid",))
+    result = table.compare([Entry("ceiling")], Workers(1), ("grid",))
     assert asked == [0.0, 0.1, 0.2]
     assert result["reached"]["ceiling"] == [1.0] * 9 + [0.0] * 45
     assert result["closest_m"]["ceiling"] == [[0.0, 0.1, 0.2]] * 54
@@ -84,12 +87,38 @@ def test_a_figure_outside_the_training_range_has_a_note():
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.prove)])
 def test_the_size_of_jobs_and_the_number_of_processes_do_not_change_the_table(monkeypatch, processes):
     found = entries.given(("pid", "shelf"))
-    done = []
-    alone = table.compare(found, 1, ("shelf",))
+    alone = table.compare(found, Workers(1), ("shelf",))
     monkeypatch.setattr(table, "PART", 5)
-    assert table.compare(found, processes, ("shelf",), done.append) == alone
-    assert sorted(done) == [2, 2, 5, 5, 5, 5]
+    assert table.compare(found, Workers(processes), ("shelf",)) == alone
     assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]
+
+
+def test_a_restarted_comparison_flies_the_missing_and_the_changed_jobs(monkeypatch, tmp_path):
+    flown = []
+
+    def measure(job, config=None):
+        if job.part.start and not flown[1:]:
+            raise PolicyError("cannot fly now")
+        flown.append((job.entry.name, job.part.start))
+        return [Score(job.entry.name == "mine", closest_m=0.1)] * len(job.part)
+
+    monkeypatch.setattr(table, "measure", measure)
+    monkeypatch.setattr(table, "PART", 6)
+    mine = tmp_path / "mine.onnx"
+    mine.write_bytes(b"one")
+    found = [Entry("mine", file=mine), Entry("pid")]
+    with pytest.raises(JobsFailed, match=r"pid, shelf, flights 6 to 11: PolicyError: cannot fly now"):
+        table.compare(found[1:], Workers(1), ("shelf",), keep=tmp_path / "kept")
+    whole = table.compare(found, Workers(1), ("shelf",), keep=tmp_path / "kept")
+    assert flown == [("pid", 0), ("mine", 0), ("mine", 6), ("pid", 6)]
+    assert table.compare(found, Workers(1), ("shelf",), keep=tmp_path / "kept") == whole
+    assert len(flown) == 4
+    assert whole["policies"]["mine"]["shelf"]["mean"] == 1.0
+    mine.write_bytes(b"two")
+    table.compare(found, Workers(1), ("shelf",), keep=tmp_path / "kept")
+    assert flown[4:] == [("mine", 0), ("mine", 6)]
+    table.compare(found, Workers(1), ("shelf",), Config(failsafe=Failsafe(rail_stale_s=0.2)), tmp_path / "kept")
+    assert len(flown) == 10
 
 
 def test_maps_show_the_first_test_that_flies_the_54_targets():

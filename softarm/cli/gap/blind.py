@@ -6,12 +6,11 @@ import click
 
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER
+from softarm.common.batch import Workers
+from softarm.common.batch_options import workers_options
 from softarm.common.processes import bar
 
 labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")
-processes_option = click.option(
-    "--processes", default=2, show_default=True, type=click.IntRange(1, 64), help="Parallel processes, one core each."
-)
 
 
 @click.group()
@@ -32,8 +31,8 @@ def blind() -> None:
 @click.option("--fresh", type=FOLDER, help="Folder for three more trials of each case, used by the score only.")
 @click.option("--cases", "count", default=100, show_default=True, type=click.IntRange(1, 10000), help="Number to draw.")
 @click.option("--seed", type=click.IntRange(0), help="Seed of the draw; random and secret by default.")
-@processes_option
-def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, processes: int) -> None:
+@workers_options()
+def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, workers: Workers) -> None:
     """Draw cases, seal their labels, and fly the cases into DATA. The same command resumes an interrupted run.
 
     The labels contain the seed and the salt, which reveal every fault: keep this file outside DATA.
@@ -46,8 +45,7 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
 
     leaves(f"the finished cases are kept in {data}; the same command continues")
     cases = making.prepare(data, labels_file, fresh, count, seed)
-    with bar("flying", len(cases)) as shown:
-        making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
+    making.write_cases(cases, data, fresh, workers)
     click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
     click.echo(f"next: softarm dev blind run {data} --answers answers.json")
 
@@ -57,8 +55,8 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
 @click.option("--answers", "answers_file", type=FILE, required=True, help="File for the answers; frozen at the end.")
 @click.option("--method", default="diagnose", show_default=True, help="Method that answers: diagnose, or a baseline.")
 @click.option("--trials", type=click.IntRange(1), help="Number of trials of each case that the method sees.")
-@processes_option
-def run(data: Path, answers_file: Path, method: str, trials: int | None, processes: int) -> None:
+@workers_options()
+def run(data: Path, answers_file: Path, method: str, trials: int | None, workers: Workers) -> None:
     """Answer every case of DATA and freeze the answers (FILE.sha256). The same command resumes an interrupted run.
 
     An answer is kept as long as the tool's code and the case's files are unchanged.
@@ -71,8 +69,7 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
     from softarm.diagnosis.blind import run as running
 
     leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
-    with bar(method, total=None) as shown:
-        digest = running.run(data, answers_file, method, processes, shown.count, trials)
+    digest = running.run(data, answers_file, method, workers, trials)
     click.echo(f"wrote {answers_file}; frozen as {digest}")
 
 

@@ -8,10 +8,12 @@ import click
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
 from softarm.cli.gap.verdict_text import show
-from softarm.cli.shared.errors import writing
+from softarm.cli.shared.errors import fail, writing
 from softarm.cli.shared.interrupt import NOTHING, leaves
-from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places
-from softarm.cli.shared.printing import warn
+from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places, typed
+from softarm.cli.shared.printing import print_table, warn
+from softarm.common.batch import Workers
+from softarm.common.batch_options import workers_options
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -46,6 +48,8 @@ if TYPE_CHECKING:
     help="Processor time for another rig; of longer recordings the most informative stretches are used.",
 )
 @limits_option
+@click.option("--out", type=FOLDER, help="Diagnose each INPUT on its own, and write all results to this folder.")
+@workers_options("With --out: ")
 def diagnose(
     inputs: tuple[Path, ...],
     model_file: Path | None,
@@ -56,47 +60,61 @@ def diagnose(
     calibration: bool,
     budget_s: float,
     limits_file: Path | None,
+    out: Path | None,
+    workers: Workers,
 ) -> None:
     """Find the effect that a simulator lacks, from recordings of the robot.
 
-    An INPUT is a log of the daemon (.mcap), a trial folder, a campaign of them, or the stage.yaml of another rig. The
-    verdict is named, incomplete, unknown or none; the exit code is 0 for each of them.
+    An INPUT is a log of the daemon (.mcap), a trial folder, a campaign of them, or the stage.yaml of another rig or
+    its folder. The verdict is named, incomplete, unknown or none; the exit code is 0 for each of them.
+
+    Without --out, all INPUTs are recordings of one robot. With --out, each is diagnosed on its own: a table in the
+    terminal, index.html and index.json of all, and NAME.html, NAME.json and NAME.yaml (the patch) of each. The same
+    command resumes.
 
     \b
     Examples:
       softarm diagnose campaign --json verdict.json --report report.html --patch patched-model.yaml
       softarm diagnose logs/*.mcap --model mine.yaml --report report.html --limits limits-patch.yaml
       softarm diagnose stage.yaml --data recordings --json verdict.json --patch patched.xml
+      softarm diagnose campaigns/* rigs/* --out reports --workers 4
     """
     from softarm.common import files
     from softarm.diagnosis import report
-    from softarm.diagnosis.data.read import TABLES
+    from softarm.diagnosis.data.read import TABLES, stage_of_folder
     from softarm.diagnosis.from_files import diagnose_files
-    from softarm.diagnosis.rigs import patch
-    from softarm.simulator import model_file as models
+    from softarm.diagnosis.many import patch
 
-    if data is not None and not any(path.suffix in TABLES for path in inputs):
+    inputs = tuple(map(stage_of_folder, inputs))
+    stage = next((path for path in inputs if path.suffix in TABLES), None)
+    if data is not None and stage is None:
         raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
-    if model_file is not None and (stage := next((path for path in inputs if path.suffix in TABLES), None)):
+    if model_file is not None and out is None and stage is not None:
         raise click.UsageError(
             f"--model is the simulator of the robot, but {stage} is another rig and holds its own nominal model; omit "
             f"--model, and write the values under `model:` in {stage}"
         )
     refuse_misplaced(inputs)
-    check_places(json_file, report_file, patch_file, limits_file)
+    places = {"--json": json_file, "--report": report_file, "--patch": patch_file, "--limits": limits_file}
+    if out is not None:
+        if wrong := [name for name, place in {**places, "--data": data}.items() if place is not None]:
+            raise click.UsageError(f"{wrong[0]} is for one diagnosis: omit it, or omit --out")
+        _diagnose_all(inputs, out, workers, model_file, budget_s, calibration)
+        return
+    if wrong := [name for name in typed() if name in ("--workers", "--ray")]:
+        raise click.UsageError(f"{wrong[0]} is for many diagnoses: add --out FOLDER")
+    check_places(*places.values())
     mjcf = _mjcf_of(inputs, data) if patch_file is not None and patch_file.suffix == ".xml" else None
     leaves(NOTHING)
     with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
     written = []
     stage_files = [path for path in inputs if path.suffix in TABLES]
-    patched = result.calibrated if calibration else result.patched
-    rig_patch = None
-    if patch_file is not None and len(stage_files) == 1:
-        if mjcf is not None:
-            rig_patch = _mjcf_patch(mjcf, result, calibration)
-        else:
-            rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
+    patched = None
+    if mjcf is not None:
+        patched = _mjcf_patch(mjcf, result, calibration)
+    elif patch_file is not None and len(stage_files) < 2:
+        patched = patch(result, stage_files[0] if stage_files else None, calibration)
     with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -105,10 +123,7 @@ def diagnose(
             report.write(result, report_file)
             written.append(report_file)
         if patch_file is not None and patched is not None:
-            models.save(patched, patch_file)
-            written.append(patch_file)
-        elif patch_file is not None and rig_patch is not None:
-            files.write_text(patch_file, rig_patch)
+            files.write_text(patch_file, patched)
             written.append(patch_file)
         if limits_file is not None:
             write_limits(inputs, limits_file, result.verdict)
@@ -118,6 +133,21 @@ def diagnose(
         click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)
     if written:
         click.echo(f"wrote {', '.join(map(str, written))}")
+
+
+def _diagnose_all(
+    inputs: tuple[Path, ...], out: Path, workers: Workers, model: Path | None, budget_s: float, calibration: bool
+) -> None:
+    """Diagnose each input on its own and print the table; end the command with exit code 1 if one has failed."""
+    from softarm.diagnosis import many
+
+    leaves(f"finished diagnoses are kept in {out}; the same command continues")
+    rows = many.diagnose_all(inputs, out, workers, model, budget_s, calibration)
+    print_table(many.COLUMNS, [(row["name"], *many.cells(row)) for row in rows])
+    warn(*(f"{row['name']}: {note}" for row in rows for note in row["notes"]))
+    click.echo(f"wrote {out / 'index.html'} and {out / 'index.json'}")
+    if failed := [f"{row['input']}: {row['failure']}" for row in rows if row["failure"]]:
+        fail("\n".join(failed))
 
 
 def _mjcf_of(inputs: tuple[Path, ...], data: Path | None) -> Path:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.options import check_places
+from softarm.common.batch import Workers
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Choice:
     report: Path | None
     film: Path | None
     target: tuple[float, float] | None
-    workers: int | None
+    workers: Workers
+    keep: Path | None
     leaderboard: Path | None
     json_file: Path | None
 

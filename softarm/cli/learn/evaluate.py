@@ -15,16 +15,19 @@ from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
+    FOLDER,
     config_option,
     flown_model,
     json_option,
     load_config,
     model_option,
+    typed,
     write,
     write_json,
 )
 from softarm.cli.shared.printing import print_table
-from softarm.common.processes import bar, cores
+from softarm.common.batch_options import workers_options
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.evaluation.entries import Entry
@@ -68,7 +71,8 @@ def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> N
 @click.option(
     "--leaderboard", type=FILE, help="Add the results to this file, or check the entry of the same policy in it."
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Processes of a comparison.  [default: one per core]")
+@click.option("--keep", type=FOLDER, help="Of a comparison: keep finished jobs here; the same command continues.")
+@workers_options("Of a comparison: ")
 def evaluate(**chosen: Any) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
@@ -98,8 +102,8 @@ def evaluate(**chosen: Any) -> None:
         found = _entries(choice, tests, config)
         wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
         compared = wanted or _needs_table(found)
-        if choice.workers is not None and not compared:
-            raise click.UsageError("--workers goes with a comparison: --all, --test, --report or several policies")
+        if not compared and (wrong := [name for name in typed() if name in ("--workers", "--ray", "--keep")]):
+            raise click.UsageError(f"{wrong[0]} goes with a comparison: --all, --test, --report or several policies")
         write_film = None if choice.film is None else film(choice.film, choice.target, found, tests, config)
         if compared:
             _compare(choice, found, tests, config)
@@ -157,8 +161,9 @@ def _compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], c
         if (config.limits, config.goals) != (Config().limits, Config().goals):
             raise ValueError("--leaderboard: results need the default limits and goals: omit both in --config")
     command = shlex.join(["softarm", *sys.argv[1:]])
-    with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
-        result = table.compare(found, choice.workers or cores(), tests, shown.advance, config)
+    if choice.keep is not None:
+        leaves(f"finished jobs are kept in {choice.keep}; the same command continues")
+    result = table.compare(found, choice.workers, tests, config, choice.keep)
     click.echo(page.markdown(result), nl=False)
     write_json(choice.json_file, result)
     if choice.report is not None:

@@ -8,7 +8,9 @@ from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, given, model_option, typed
 from softarm.cli.shared.printing import waiting
-from softarm.common.processes import bar, cores
+from softarm.common.batch import Workers
+from softarm.common.batch_options import workers_options
+from softarm.common.processes import bar
 
 SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluated
 
@@ -28,8 +30,7 @@ SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluate
 @click.option(
     "--sweep", type=FILE, help="Train all runs of this file, seeds x configurations; the same command resumes."
 )
-@click.option("--workers", type=click.IntRange(min=1), help="With --sweep: parallel runs.  [default: one per core]")
-@click.option("--ray", "ray_address", help="With --sweep: run on this Ray cluster; 'local' starts one here.")
+@workers_options("With --sweep: ")
 def train(
     task: str | None,
     seed: int,
@@ -41,8 +42,7 @@ def train(
     out: Path | None,
     resume: bool,
     sweep: Path | None,
-    workers: int | None,
-    ray_address: str | None,
+    workers: Workers,
 ) -> None:
     """Train a policy that swings the tip to a target, in free space (reach*) or into a shelf (shelf).
 
@@ -59,7 +59,7 @@ def train(
       softarm train --sweep benchmarks/ablation.yaml --out runs/ablation
     """
     if sweep is not None:
-        _train_sweep(sweep, out or Path("runs") / sweep.stem, workers or cores(), ray_address)
+        _train_sweep(sweep, out or Path("runs") / sweep.stem, workers)
         return
     if task is None:
         raise click.UsageError("no task given: name one, e.g. `softarm train reach`, or use --sweep FILE")
@@ -98,7 +98,7 @@ def train(
             click.echo(line)
 
 
-def _train_sweep(file: Path, out: Path, processes: int, ray_address: str | None) -> None:
+def _train_sweep(file: Path, out: Path, workers: Workers) -> None:
     """Train the unfinished runs of a sweep and write OUT/results.json and OUT/results.md."""
     from softarm.training.record import tensorboard
     from softarm.training.run import sweep
@@ -108,13 +108,12 @@ def _train_sweep(file: Path, out: Path, processes: int, ray_address: str | None)
     leaves(f"finished runs are kept in {out}; the same command continues with the others")
     sweep.refuse_beside(typed())
     configured = sweep.load(file)
-    todo, results = sweep.plan(configured, out, max(1, cores() // processes))
-    with bar("training", len(todo) + len(results), done=len(results), stay=True) as shown:
-        for result in sweep.on_ray(todo, ray_address) if ray_address else sweep.locally(todo, processes):
-            results.append(result)
-            shares = ", ".join(f"{name} {share:.1%}" for name, share in result.test.items())
-            click.echo(f"{result.name}, seed {result.seed}: validation {result.validation:.1%}; {shares}")
-            shown.advance()
+
+    def show(result: "sweep.Result") -> None:
+        shares = ", ".join(f"{name} {share:.1%}" for name, share in result.test.items())
+        click.echo(f"{result.name}, seed {result.seed}: validation {result.validation:.1%}; {shares}")
+
+    results = sweep.run_all(sweep.plan(configured, out), workers, show)
     click.echo(f"{sweep.save(configured, results, out)}wrote {out / 'results.json'} and {out / 'results.md'}")
 
 

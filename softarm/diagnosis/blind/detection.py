@@ -13,8 +13,9 @@ from typing import Any
 import click
 import numpy as np
 
-from softarm.common import files
-from softarm.common.processes import as_they_come, bar, cores
+from softarm.common import batch, files
+from softarm.common.batch import Kept, Work, Workers
+from softarm.common.batch_options import workers_options
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.cases import Case, with_trials
 from softarm.diagnosis.blind.imperfections import KNOWN, Cause, Variant, draw_nuisances, given, ranges
@@ -78,33 +79,29 @@ def limit(tries: Sequence[tuple[float, bool]]) -> float | None:
 
 
 def answer(case: Case, place: Path) -> dict[str, Any]:
-    """Return the diagnosis of a case, recorded and answered unless this version has done it already."""
-    file = place / "answers" / f"{case.name}.json"
-    tool = seal.tool_version()
-    if file.is_file() and (kept := json.loads(file.read_text(encoding="utf-8")))["tool"] == tool:
-        return dict(kept)
+    """Return the diagnosis of a case, which is recorded first unless it was already."""
     if not is_written(case, place, None):
         write_case(case, place)
-    found = {"tool": tool, **run.answer_case(place / case.name, "diagnose")}
-    files.write_text(file, json.dumps(found))
-    return found
+    return run.answer_case(place / case.name, "diagnose")
 
 
-def measure(place: Path, draws: int, robots: int, processes: int) -> dict[str, Any]:
+def measure(place: Path, draws: int, robots: int, workers: Workers | None = None) -> dict[str, Any]:
     """Diagnose robots of each variant of a cause, and healthy ones, and return the figures of the table.
 
     `place` keeps recordings and answers, so that an interrupted measurement continues there.
     """
-    (place / "answers").mkdir(parents=True, exist_ok=True)
     known = list(causes())
     made = [(k, *weak(k, name, variant, i, draws)) for k, (name, variant) in enumerate(known) for i in range(draws)]
     well = [healthy(i) for i in range(robots)]
-    hits = {}
-    with bar("diagnosing", len(made) + len(well)) as shown:
-        work = partial(answer, place=place)
-        for case, found in as_they_come(work, [*(case for _, case, _ in made), *well], processes):
-            hits[case.name] = right(case, found)
-            shown.advance(1)
+    cases = {case.name: case for case in (*(case for _, case, _ in made), *well)}
+    kept = Kept(lambda name: place / "answers" / f"{name}.json", lambda name: {"tool": seal.tool_version()})
+    work: Work[Case, dict[str, Any]] = Work(
+        partial(answer, place=place),
+        reads=lambda case: [place / case.name],
+        writes=lambda case: [place / case.name],
+    )
+    done = batch.run("diagnosing", work, cases, workers, kept=kept).complete("the same command continues")
+    hits = {name: right(cases[name], found) for name, found in done.items()}
     rows = []
     for k, (name, variant) in enumerate(known):
         least = limit([(share, hits[case.name]) for of, case, share in made if of == k])
@@ -117,11 +114,11 @@ def measure(place: Path, draws: int, robots: int, processes: int) -> dict[str, A
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--draws", default=8, help="Robots for each variant of a cause.")
 @click.option("--healthy", "robots", default=60, help="Robots without a cause.")
-@click.option("--processes", default=cores(), help="Processes side by side.")
+@workers_options()
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures here.")
-def main(folder: Path, draws: int, robots: int, processes: int, json_file: Path | None) -> None:
+def main(folder: Path, draws: int, robots: int, workers: Workers, json_file: Path | None) -> None:
     """Diagnose weak causes, recorded into FOLDER, and print the table of detection limits."""
-    found = measure(folder, draws, robots, processes)
+    found = measure(folder, draws, robots, workers)
     click.echo(pages.detection(found), nl=False)
     if json_file is not None:
         files.write_text(json_file, json.dumps(found, indent=1) + "\n")

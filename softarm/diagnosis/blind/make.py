@@ -2,18 +2,17 @@
 
 import secrets
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from softarm.common.processes import as_they_come
+from softarm.common import batch
+from softarm.common.batch import Work, Workers
 from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.cases import Case, draw
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.simulator import model_file
-
-OnCase = Callable[[str], None]
 
 
 def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:
@@ -69,13 +68,9 @@ def prepare(data: Path, labels_file: Path, fresh: Path | None, count: int, seed:
     return cases
 
 
-def write_cases(cases: Sequence[Case], data: Path, fresh: Path | None, processes: int, on_case: OnCase) -> None:
-    """Simulate and write the cases that are not complete yet; `on_case` is called for complete ones too."""
-    todo = []
-    for case in cases:
-        if is_written(case, data, fresh):
-            on_case(case.name)
-        else:
-            todo.append(case)
-    for _, name in as_they_come(partial(write_case, data=data, fresh=fresh), todo, processes):
-        on_case(name)
+def write_cases(cases: Sequence[Case], data: Path, fresh: Path | None, workers: Workers | None = None) -> None:
+    """Simulate and write the cases that are not complete yet. Raises JobsFailed."""
+    todo = {case.name: case for case in cases if not is_written(case, data, fresh)}
+    places = [root for root in (data, fresh) if root is not None]
+    work = Work(partial(write_case, data=data, fresh=fresh), writes=lambda case: [root / case.name for root in places])
+    batch.run("flying", work, todo, workers).complete("the same command continues")

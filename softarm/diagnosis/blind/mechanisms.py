@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from softarm.common.processes import as_they_come, bar
-from softarm.diagnosis.blind.rigs import answered, run
+from softarm.common import batch
+from softarm.common.batch import JobsFailed, Work, Workers
+from softarm.common.cluster import ClusterError
+from softarm.diagnosis.blind.rigs import add_workers, answered, run, workers_of
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.mechanisms.cases import draw_and_write
 
@@ -36,20 +38,22 @@ def categories(count: int, random: np.random.Generator) -> list[str]:
     return [str(each) for each in random.permutation(found[:count])]
 
 
-def make(folder: Path, count: int, seed: int, processes: int) -> int:
+def make(folder: Path, count: int, seed: int, workers: Workers | None = None) -> int:
     """Record the cases that are missing, and return their number."""
     kinds = categories(count, np.random.default_rng(seed))
     names = [f"mechanism-{seed}-{i:03d}" for i in range(count)]
-    todo = [i for i in range(count) if not (folder / "truths" / f"{names[i]}.json").is_file()]
-    with bar("recording", total=None) as shown:
-        work = partial(_one, folder, names, seed, kinds)
-        for done, (i, _) in enumerate(as_they_come(work, todo, processes), 1):
-            shown.count(names[i], done, len(todo))
+    todo = {name: (i, name) for i, name in enumerate(names) if not (folder / "truths" / f"{name}.json").is_file()}
+    work = Work(
+        partial(_record, folder=folder, seed=seed, kinds=kinds),
+        writes=lambda case: [folder / "data" / case[1], folder / "truths" / f"{case[1]}.json"],
+    )
+    batch.run("recording", work, todo, workers).complete()
     return len(todo)
 
 
-def _one(folder: Path, names: Sequence[str], seed: int, kinds: Sequence[str], index: int) -> None:
-    draw_and_write(folder, names[index], seed, index, kinds[index])
+def _record(case: tuple[int, str], folder: Path, seed: int, kinds: Sequence[str]) -> None:
+    index, name = case
+    draw_and_write(folder, name, seed, index, kinds[index])
 
 
 def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
@@ -123,14 +127,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2)
+    add_workers(parser)
     given = parser.parse_args(arguments)
     try:
         if given.verb == "make":
-            print(f"{make(given.folder, given.cases, given.seed, given.processes)} cases recorded in {given.folder}")
+            print(f"{make(given.folder, given.cases, given.seed, workers_of(given))} cases recorded in {given.folder}")
         elif given.verb == "run":
-            with bar("diagnosing", total=None) as shown:
-                run(given.folder, given.processes, shown.count)
+            run(given.folder, workers_of(given))
         else:
             cases = [(truth, reply) for truth, reply in answered(given.folder) if reply is not None]
             if not cases:
@@ -138,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             seconds = [reply["seconds"] for _, reply in cases]
             print(table(cases), *wrong_lines(cases), sep="\n")
             print(f"processor time: median {median(seconds):.0f} s, worst {max(seconds):.0f} s")
-    except TrialError as error:
+    except (TrialError, JobsFailed, ClusterError) as error:
         raise SystemExit(f"error: {error}") from None
 
 

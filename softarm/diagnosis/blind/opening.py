@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from softarm.common.files import sha256_of
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.imperfections import Cause
 from softarm.diagnosis.blind.score import Scored, score
@@ -71,7 +72,7 @@ def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels,
             "but not in both; finish `softarm dev blind run` on these data"
         )
     for case, digest in given.items():
-        if seal.case_sha256(data / case) != digest:
+        if sha256_of(data / case) != digest:
             raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm dev blind run` again")
 
 

@@ -11,14 +11,18 @@ and faults are those of `softarm.reality.rigs`; `score.py` defines the outcomes.
 
 import argparse
 import json
-import os
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-from softarm.common.processes import as_they_come, bar
+from softarm.common import batch
+from softarm.common.batch import JobsFailed, Kept, Work, Workers
+from softarm.common.cluster import ClusterError
+from softarm.common.files import sha256_of
+from softarm.common.processes import cores
 from softarm.diagnosis.blind import pages, seal
 from softarm.diagnosis.blind.score import rig_counts, score_rig
 from softarm.diagnosis.data.trials import TrialError
@@ -26,52 +30,45 @@ from softarm.reality.rigs.case import CATEGORIES, RigCase, case_of, draw
 from softarm.reality.rigs.presets import Kind
 from softarm.reality.rigs.record import write
 
-OnCase = Callable[[str, int, int], None]
 
-
-def make(cases: Sequence[RigCase], folder: Path, processes: int = 2, on_case: OnCase = lambda *of: None) -> None:
+def make(cases: Sequence[RigCase], folder: Path, workers: Workers | None = None) -> None:
     """Record the cases that are not complete yet; the truth of a case is written last."""
-    todo = [case for case in cases if not (folder / "truths" / f"{case.name}.json").is_file()]
-    work = partial(write, data=folder / "data", truths=folder / "truths")
-    for done, (case, _) in enumerate(as_they_come(work, todo, processes), 1):
-        on_case(case.name, done, len(todo))
+    data, truths = folder / "data", folder / "truths"
+    todo = {case.name: case for case in cases if not (truths / f"{case.name}.json").is_file()}
+    work = Work(
+        partial(write, data=data, truths=truths), writes=lambda case: [data / case.name, truths / f"{case.name}.json"]
+    )
+    batch.run("recording", work, todo, workers).complete()
 
 
-def run(folder: Path, processes: int = 2, on_case: OnCase = lambda *of: None, only: Sequence[str] = ()) -> None:
+def run(folder: Path, workers: Workers | None = None, only: Sequence[str] = ()) -> None:
     """Answer every case, or those in `only`, and write the answers to FOLDER/answers.
 
     Answers of the same tool to the same data are kept. Raises TrialError if the folder contains no such case.
     """
-    cases = sorted(path.parent for path in (folder / "data").glob("*/stage.yaml"))
-    cases = [case for case in cases if not only or case.name in only]
+    found = sorted(path.parent for path in (folder / "data").glob("*/stage.yaml"))
+    cases = {case.name: case for case in found if not only or case.name in only}
     if not cases:
         raise TrialError(f"{folder}: contains no such case; make some first (python -m {__spec__.name} make)")
-    answers, tool = folder / "answers", seal.tool_version()
-    answers.mkdir(exist_ok=True)
-    todo = [case for case in cases if not _kept(answers / f"{case.name}.json", tool, case)]
-    for done, (case, result) in enumerate(as_they_come(answer, todo, processes), 1):
-        text = json.dumps({"tool": tool, "data": seal.case_sha256(case), **result}, indent=1)
-        (answers / f"{case.name}.json").write_text(text + "\n", encoding="utf-8")
-        on_case(case.name, done, len(todo))
+    kept = Kept(
+        lambda name: folder / "answers" / f"{name}.json",
+        lambda name: {"tool": seal.tool_version(), "data": sha256_of(cases[name])},
+    )
+    batch.run("diagnosing", Work(answer, reads=lambda case: [case]), cases, workers, kept=kept).complete()
 
 
 def answer(case: Path) -> dict[str, Any]:
     """Return the verdict on a case and its processor time, s; an exception is recorded as a failure."""
     from softarm.diagnosis.from_files import diagnose_files
 
-    began, verdict, failure = _processor_s(), None, ""
+    began, verdict, failure = time.process_time(), None, ""
     margins: dict[str, float] = {}
     try:
-        found = diagnose_files([case / "stage.yaml"])
+        found = diagnose_files([case / "stage.yaml"], processes=1)
         verdict, margins = found.verdict.model_dump(mode="json"), dict(found.margins)
     except Exception as error:  # a failure is scored, and the other cases continue
         failure = f"{type(error).__name__}: {error}"
-    return {"verdict": verdict, "margins": margins, "failure": failure, "seconds": _processor_s() - began}
-
-
-def _processor_s() -> float:
-    """Return the processor time of this process and of its finished workers, s."""
-    return sum(os.times()[:4])
+    return {"verdict": verdict, "margins": margins, "failure": failure, "seconds": time.process_time() - began}
 
 
 def answered(folder: Path) -> Iterator[tuple[Any, Any]]:
@@ -79,13 +76,6 @@ def answered(folder: Path) -> Iterator[tuple[Any, Any]]:
     for file in sorted((folder / "truths").glob("*.json")):
         reply = folder / "answers" / file.name
         yield _json(file), _json(reply) if reply.is_file() else None
-
-
-def _kept(file: Path, tool: str, case: Path) -> bool:
-    if not file.is_file():
-        return False
-    before = _json(file)
-    return bool(before["tool"] == tool and before["data"] == seal.case_sha256(case))
 
 
 def _json(file: Path) -> Any:
@@ -100,19 +90,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         match given.verb:
             case "make":
                 cases = draw(given.cases, given.seed, given.kind or get_args(Kind), given.category or CATEGORIES)
-                with bar("recording", total=None) as shown:
-                    make(cases, folder, given.processes, shown.count)
+                make(cases, folder, workers_of(given))
                 print(f"{len(cases)} cases in {folder / 'data'}, their causes in {folder / 'truths'}")
             case "one":
                 case = case_of(given.rig, given.fault, given.strength, given.seed, given.excitation or ())
                 write(case, folder / "data", folder / "truths")
                 print(folder / "data" / case.name / "stage.yaml")
             case "run":
-                with bar("diagnosing", total=None) as shown:
-                    run(folder, given.processes, shown.count, given.case or ())
+                run(folder, workers_of(given), given.case or ())
             case _:
                 _print(folder)
-    except (ValueError, KeyError, TrialError) as error:
+    except (ValueError, KeyError, TrialError, JobsFailed, ClusterError) as error:
         raise SystemExit(f"error: {error}") from None
 
 
@@ -127,6 +115,17 @@ def _print(folder: Path) -> None:
     print(pages.rig_table(found), pages.rig_answers(scored), sep="\n\n")
     if unanswered := [truth["case"] for truth, reply in cases if reply is None]:
         print(f"\nnot answered: {', '.join(unanswered)}")
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the place that jobs run at."""
+    parser.add_argument("--workers", type=int, default=cores(), help="parallel jobs here; one per core by default")
+    parser.add_argument("--ray", help="address of a Ray cluster that runs the jobs; 'local' starts one here")
+
+
+def workers_of(given: argparse.Namespace) -> Workers:
+    """Return the place that jobs run at, from the options."""
+    return Workers(given.workers, given.ray)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -149,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     for verb in (made, one):
         verb.add_argument("--seed", type=int, default=0)
     for verb in (made, ran):
-        verb.add_argument("--processes", type=int, default=2)
+        add_workers(verb)
     verbs.add_parser("score", help="table, wrong answers, score.json").add_argument("folder", type=Path)
     return parser
 

@@ -12,7 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softarm.common.processes import as_they_come
+from softarm.common import batch
+from softarm.common.batch import Kept, Work, Workers
+from softarm.common.files import sha256_of
 from softarm.common.words import did_you_mean
 from softarm.diagnosis import baselines
 from softarm.diagnosis.blind import seal
@@ -23,8 +25,6 @@ from softarm.diagnosis.engine.result import Diagnosis
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 
-# case, answered, of
-OnAnswer = Callable[[str, int, int], None]
 Method = Callable[[Sequence[Trial], Model], Diagnosis]
 
 METHODS: dict[str, Method] = {
@@ -39,14 +39,13 @@ def run(
     data: Path,
     file: Path,
     method: str = "diagnose",
-    processes: int = 2,
-    on_answer: OnAnswer = lambda case, answered, of: None,
+    workers: Workers | None = None,
     trials: int | None = None,
 ) -> str:
     """Answer every case, freeze the file of answers and return its SHA-256.
 
-    Answers of the same version of the tool to the same data are kept, also after an interrupted run. Processor times
-    are written to `file` + `.timing.json`, which is not frozen.
+    Answers of the same version of the tool to the same data are kept in the folder `file` + `.kept`, also after an
+    interrupted run. Processor times are written to `file` + `.timing.json`, which is not frozen.
 
     The method sees the first `trials` of each case by name, or all. Raises SealError if the folder contains no cases,
     or the method is unknown.
@@ -54,21 +53,15 @@ def run(
     if method not in METHODS:
         hint = did_you_mean(method, METHODS)
         raise seal.SealError(f"unknown method {method!r}; {hint}allowed are {', '.join(METHODS)}")
-    cases = folders(data)
+    cases = {case.name: case for case in folders(data)}
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
     about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": seal.tool_version()}
-    unfinished = seal.beside(file, ".partial")
-    done = _kept(file, unfinished, about, cases)
-    todo = [case for case in cases if case.name not in done]
-    with unfinished.open("a", encoding="utf-8") as out:
-        for _, answer in as_they_come(partial(answer_case, method=method, shown=trials), todo, processes):
-            done[answer["case"]] = answer
-            out.write(json.dumps({**about, **answer}) + "\n")
-            out.flush()
-            on_answer(answer["case"], len(done), len(cases))
-    _write(file, about, done)
-    unfinished.unlink()
+    folder = seal.beside(file, ".kept")
+    kept = Kept(lambda name: folder / f"{name}.json", lambda name: {**about, "data": sha256_of(cases[name])})
+    work = Work(partial(answer_case, method=method, shown=trials), reads=lambda case: [case])
+    done = batch.run(method, work, cases, workers, kept=kept).complete("the same command continues")
+    _write(file, about, {name: {k: v for k, v in answer.items() if k not in about} for name, answer in done.items()})
     return seal.freeze(file)
 
 
@@ -105,7 +98,7 @@ def answer_case(folder: Path, method: str, shown: int | None = None) -> dict[str
     gc.collect()
     return {
         "case": folder.name,
-        "data": seal.case_sha256(folder),
+        "data": sha256_of(folder),
         **answer,
         "failure": failure,
         "seconds": time.process_time() - begin,
@@ -129,29 +122,6 @@ def _anonymous(trial: Trial, folder: Path) -> Trial:
     warnings = tuple(text.replace(str(folder), "case") for text in trial.warnings)
     missing = {channel: text.replace(str(folder), "case") for channel, text in trial.missing.items()}
     return replace(trial, source=Path("case") / trial.source.name, warnings=warnings, missing=missing)
-
-
-def _kept(file: Path, unfinished: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
-    """Earlier answers of the same tool and method to the same data."""
-    lines: list[dict[str, Any]] = []
-    if file.is_file():
-        before, seconds = json.loads(file.read_text(encoding="utf-8")), read_seconds(file)
-        lines += [
-            {"method": before["method"], "tool": before["tool"], **answer, "seconds": seconds.get(answer["case"], 0.0)}
-            for answer in before["answers"]
-        ]
-    if unfinished.is_file():
-        for line in unfinished.read_text(encoding="utf-8").splitlines():
-            try:
-                lines.append(json.loads(line))
-            except ValueError:
-                continue  # the run was interrupted in this line
-    now = {case.name: seal.case_sha256(case) for case in cases} if lines else {}
-    return {
-        line["case"]: {key: value for key, value in line.items() if key not in about}
-        for line in lines
-        if all(line[key] == value for key, value in about.items()) and now.get(line["case"]) == line["data"]
-    }
 
 
 def _write(file: Path, about: dict[str, str], done: dict[str, dict[str, Any]]) -> None:

@@ -4,14 +4,12 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from softarm import common, diagnosis, schemas, simulator
+from softarm.common.revision import code_version
 
 COMMITMENT = "commitment.json"
-_CODE = (".py", ".yaml", ".json")
 
 
 class SealError(Exception):
@@ -37,22 +35,9 @@ def sha256(text: str | bytes) -> str:
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 
 
-def case_sha256(folder: Path) -> str:
-    """Return the SHA-256 of a case's files, independent of the case's name."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return sha256("".join(f"{path.relative_to(folder)} {sha256(path.read_bytes())}\n" for path in files))
-
-
 def tool_version() -> str:
     """Return the package's version with a hash of the code that answers."""
-    lines = []
-    for package in (common, diagnosis, schemas, simulator):
-        root = Path(str(package.__file__)).parent
-        for path in sorted(
-            p for p in root.rglob("*") if p.suffix in _CODE and "blind" not in p.relative_to(root).parts
-        ):
-            lines.append(f"{root.name}/{path.relative_to(root)} {sha256(path.read_bytes())}")
-    return f"{version('softarm')}+{sha256(chr(10).join(lines))[:12]}"
+    return code_version("common", "diagnosis", "schemas", "simulator", without="blind")
 
 
 def commitment(labels: Labels) -> dict[str, Any]:

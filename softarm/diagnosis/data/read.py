@@ -54,6 +54,11 @@ def rail_motions(paths: Iterable[Path]) -> tuple[RailMotion, ...]:
     return tuple(found)
 
 
+def stage_of_folder(path: Path) -> Path:
+    """Return the stage.yaml of a rig's folder, and any other path unchanged."""
+    return stage if (stage := path / "stage.yaml").is_file() else path
+
+
 def sources(path: Path) -> tuple[Path, ...]:
     """Return the trials and stage.yaml files of a path; raise TrialError if it contains none."""
     if path.is_file() and path.suffix in (".mcap", *TABLES):

@@ -1,15 +1,12 @@
-"""Sweeps: many runs from one file, seeds x configurations, in local processes or on a Ray cluster.
+"""Sweeps: many runs from one file, seeds x configurations, as a batch of jobs.
 
 A run's folder is OUT/NAME/seed-K. Started again, a sweep skips finished runs (result.json) and resumes killed ones from
 their checkpoints.
 """
 
 import json
-import logging
-import os
-import threading
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any, NamedTuple
@@ -17,8 +14,9 @@ from typing import Any, NamedTuple
 import numba
 from pydantic import Field, ValidationError
 
-from softarm.common import files, yaml_lines
-from softarm.common.processes import WorkerDied, as_they_come
+from softarm.common import batch, files, yaml_lines
+from softarm.common.batch import Kept, Work, Workers
+from softarm.common.processes import cores
 from softarm.common.yaml_lines import FileError
 from softarm.common.yaml_schema import fit
 from softarm.schemas.base import Strict
@@ -29,7 +27,6 @@ from softarm.training.run import report
 from softarm.training.run.recipe import RECIPES, Recipe
 
 RESULT = "result.json"
-LOCAL = "local"
 # Options of `softarm train` for a single run, with the equivalent in a sweep's file.
 SINGLE = {
     "TASK": "task: reach",
@@ -77,14 +74,18 @@ def refuse_beside(options: Iterable[str]) -> None:
         raise SweepError(f"{', '.join(wrong)}: not allowed with --sweep; write it to the sweep's file as in brackets")
 
 
-class Work(NamedTuple):
-    """Description of one run for a worker."""
+class Run(NamedTuple):
+    """One run of a sweep."""
 
-    name: str
     seed: int
-    recipe: dict[str, Any]
-    folder: str
-    threads: int
+    name: str
+    recipe: Recipe
+    folder: Path
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The recipe as plain values."""
+        return self.recipe.model_dump(mode="json")
 
 
 class Result(NamedTuple):
@@ -121,107 +122,56 @@ def load(path: Path) -> Sweep:
     return sweep
 
 
-def plan(sweep: Sweep, out: Path, threads: int) -> tuple[list[Work], list[Result]]:
-    """Return the remaining runs, seed by seed, and the finished results.
-
-    Raises SweepError where a folder holds a finished run of another recipe.
-    """
-    todo, finished = [], []
-    for seed in sweep.seeds:
-        for name, recipe in sweep.recipes().items():
-            folder, content = out / name / f"seed-{seed}", recipe.model_dump(mode="json")
-            done = _finished(folder)
-            if done is None:
-                todo.append(Work(name, seed, content, str(folder.absolute()), threads))
-            elif done.recipe != content:
-                raise SweepError(f"{folder}: was run with another recipe; remove it or give another --out")
-            else:
-                finished.append(done)
-    return todo, finished
+def plan(sweep: Sweep, out: Path) -> dict[str, Run]:
+    """Return all runs by their names in messages, seed by seed."""
+    made = sweep.recipes().items()
+    runs = [Run(seed, name, recipe, out / name / f"seed-{seed}") for seed in sweep.seeds for name, recipe in made]
+    return {f"{run.name}, seed {run.seed}": run for run in runs}
 
 
-def train(work: Work) -> Result:
-    """Train one run to its end, from its checkpoint if there is one."""
-    recipe, folder = Recipe.model_validate(work.recipe), Path(work.folder)
-    numba.set_num_threads(min(work.threads, numba.config.NUMBA_NUM_THREADS))
-    with workers(work.threads) as pool:
-        session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
-        policy = session.run(recipe.frames, None)
+def kept(runs: Mapping[str, Run]) -> Kept:
+    """Return the store of the results. Raises SweepError where a folder holds a finished run of another recipe."""
+    store = Kept(lambda key: runs[key].folder / RESULT, lambda key: {"recipe": runs[key].content})
+    for key in runs:
+        if store.file(key).exists() and store.read(key) is None:
+            raise SweepError(
+                f"{store.file(key)}: is damaged, or of a run with another recipe; remove the folder or give another "
+                "--out"
+            )
+    return store
+
+
+def run_all(
+    runs: Mapping[str, Run], workers: Workers, on_result: Callable[[Result], None] = lambda result: None
+) -> list[Result]:
+    """Train the runs that have not finished and return all results. Raises JobsFailed when a run fails."""
+    threads = max(1, cores() // workers.processes)
+    work = Work(
+        partial(train, threads=threads),
+        reads=lambda run: [Path(run.recipe.model), run.folder],
+        writes=lambda run: [run.folder],
+        threads=threads,
+        cards=lambda run: int(run.recipe.settings.get("run.device") == "cuda"),
+    )
+    done = batch.run(
+        "training", work, runs, workers, kept=kept(runs), on_result=lambda key, result: on_result(Result(**result))
+    )
+    complete = done.complete("repair them and start the sweep again: finished runs stay")
+    return [Result(**result) for result in complete.values()]
+
+
+def train(run: Run, threads: int) -> dict[str, Any]:
+    """Train one run to its end, from its checkpoint if there is one, and return its `Result` as plain values."""
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    with workers(threads) as pool:
+        session = recipes.begin(run.recipe, run.seed, run.folder, pool, (run.folder / "latest.pt").exists())
+        policy = session.run(run.recipe.frames, None)
         tested = report.fly_test_trials(session)
         report.write(session, tested)
     assert session.best is not None, "a run ends with a validation"
     test = tested.report._asdict()
-    result = Result(work.name, work.seed, work.recipe, session.frames, session.seconds, session.best, test, policy.name)
-    files.write_text(folder / RESULT, json.dumps(result._asdict(), indent=1) + "\n")
-    return result
-
-
-def locally(todo: list[Work], processes: int) -> Iterator[Result]:
-    """Train runs in parallel processes (1: in this one) and yield results as they finish.
-
-    Raises SweepError when one fails or is killed.
-    """
-    threads = max((work.threads for work in todo), default=1)
-    try:
-        for _, result in as_they_come(_trained, todo, processes, threads):
-            yield result
-    except WorkerDied:
-        raise SweepError("a worker was killed; start the sweep again: it resumes") from None
-
-
-def _trained(work: Work) -> Result:
-    """Train a run; an error names the run."""
-    try:
-        return train(work)
-    except Exception as error:
-        raise _failed(work, error) from error
-
-
-def _trained_on_ray(work: Work) -> Result:
-    """Train a run in a Ray worker, which ends with the sweep's process."""
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    return train(work)
-
-
-def _end_with(parent: int) -> None:
-    """End the worker with its parent, so that no run writes to the files of the next sweep."""
-    while os.getppid() == parent:
-        time.sleep(0.2)
-    os._exit(1)
-
-
-def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
-    """Train runs on a Ray cluster with a shared file system (`local` starts one here) and yield results.
-
-    Raises SweepError when a run fails. Needs the extra `ray`.
-    """
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise SweepError("a cluster needs the package 'ray': pip install 'softarm[ray]'") from None
-    own: dict[str, Any] = {"num_cpus": len(os.sched_getaffinity(0)), "include_dashboard": False}
-    try:
-        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **(own if address == LOCAL else {}))
-    except Exception as error:
-        text = str(error).partition("\n")[0]
-        raise SweepError(f"no Ray cluster at '{address}': {text}; give its address, or 'local' for one here") from error
-    try:
-        remote = ray.remote(max_retries=0)(_trained_on_ray)
-        waiting = {}
-        for work in todo:
-            # Ray hides graphics cards that were not requested.
-            cards = int(work.recipe["settings"].get("run.device") == "cuda")
-            waiting[remote.options(num_cpus=work.threads, num_gpus=cards).remote(work)] = work
-        while waiting:
-            (ready, *_), _ = ray.wait(list(waiting), num_returns=1)
-            work = waiting.pop(ready)
-            try:
-                yield ray.get(ready)
-            except Exception as error:
-                # `cause` is the run's exception; Ray's text holds the worker's whole traceback.
-                raise _failed(work, getattr(error, "cause", None) or error) from error
-    finally:
-        ray.shutdown()
+    result = Result(run.name, run.seed, run.content, session.frames, session.seconds, session.best, test, policy.name)
+    return result._asdict()
 
 
 def markdown(results: Iterable[Result]) -> str:
@@ -261,20 +211,3 @@ def _merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
                 raise ValueError(f"{key} is {given!r}; give a group of keys")
             table |= given
     return common | own | tables
-
-
-def _finished(folder: Path) -> Result | None:
-    try:
-        return Result(**json.loads((folder / RESULT).read_text()))
-    except FileNotFoundError:
-        return None
-    except (TypeError, ValueError) as error:
-        raise SweepError(f"{folder / RESULT}: cannot be read ({error}); remove it to train that run again") from None
-
-
-def _failed(work: Work, error: Exception) -> SweepError:
-    first, _, _ = str(error).strip().partition("\n")
-    return SweepError(
-        f"{work.name}, seed {work.seed}: {type(error).__name__}: {first}; "
-        "repair it and start the sweep again: finished runs stay"
-    )

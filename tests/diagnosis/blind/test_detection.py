@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softarm.common.batch import Workers
 from softarm.diagnosis.blind import detection, pages
 from softarm.diagnosis.blind.detection import SHARES, causes, healthy, limit, weak
 from softarm.diagnosis.blind.imperfections import KNOWN, read
@@ -45,12 +46,12 @@ def test_a_case_is_the_same_in_every_run():
 def test_limits_and_false_names_are_measured_and_kept(tmp_path, monkeypatch):
     one = [(name, variant) for name, variant in causes() if name == "mocap.scale"]
     monkeypatch.setattr(detection, "causes", lambda: iter(one))
-    found = detection.measure(tmp_path, 2, 1, 1)
+    found = detection.measure(tmp_path, 2, 1, Workers(1))
     assert found["causes"][0]["cause"] == "mocap.scale"
     assert found["healthy named"] == 0
     assert "0 of 1 healthy robots" in pages.detection(found)
     before = {file: file.stat().st_mtime_ns for file in (tmp_path / "answers").iterdir()}
     assert len(before) == 3
-    assert detection.measure(tmp_path, 2, 1, 1) == found
+    assert detection.measure(tmp_path, 2, 1, Workers(1)) == found
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "answers").iterdir()} == before
     assert np.isfinite(found["causes"][0]["found"] or 0.0)

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from softarm.common.batch import Workers
 from softarm.diagnosis.blind import pages, rig_sizes, rigs
 from softarm.diagnosis.blind.score import OUTCOMES, WEAK, rig_counts, score_rig
 from softarm.reality.rigs.case import case_of
@@ -101,7 +102,7 @@ def test_the_table_counts_every_case_by_category_and_kind():
 
 @pytest.mark.slow
 def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monkeypatch, capsys):
-    rigs.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, 1)
+    rigs.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, Workers(1))
     asked = []
 
     def answer(case):
@@ -111,11 +112,11 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
 
     monkeypatch.setattr(rigs, "answer", answer)
     for _ in range(2):
-        rigs.main(["run", str(tmp_path), "--processes", "1"])
+        rigs.main(["run", str(tmp_path), "--workers", "1"])
     assert asked == [tmp_path / "data" / "servo-dead_time"]
     stage = asked[0] / "stage.yaml"
     stage.write_text(stage.read_text() + "\n")
-    rigs.main(["run", str(tmp_path), "--processes", "1"])
+    rigs.main(["run", str(tmp_path), "--workers", "1"])
     assert len(asked) == 2
     rigs.main(["score", str(tmp_path)])
     assert "| all | 1 | 1 |" in capsys.readouterr().out

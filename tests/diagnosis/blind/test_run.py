@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softarm.common.batch import Workers
 from softarm.diagnosis.blind import opening, run, seal
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
@@ -65,22 +66,22 @@ def test_a_run_never_reads_the_labels(data, tmp_path):
     for name, labels in (("one", LABELS), ("other", seal.Labels("00" * 32, 4, {}))):
         (data / seal.COMMITMENT).write_text(json.dumps(seal.commitment(labels)))
         file = tmp_path / f"{name}.json"
-        run.run(data, file, processes=1)
+        run.run(data, file, workers=Workers(1))
         texts.append(file.read_bytes())
     shutil.rmtree(tmp_path / "sealed")
     (data / seal.COMMITMENT).unlink()
-    run.run(data, tmp_path / "none.json", processes=1)
+    run.run(data, tmp_path / "none.json", workers=Workers(1))
     texts.append((tmp_path / "none.json").read_bytes())
     assert len(set(texts)) == 1
     assert set(answers_of(tmp_path / "none.json")) == set(CASES)
 
 
 def test_name_and_folder_of_a_case_do_not_change_the_answer(data, tmp_path):
-    run.run(data, tmp_path / "a.json", processes=1)
+    run.run(data, tmp_path / "a.json", workers=Workers(1))
     other = tmp_path / "elsewhere" / "z"
     for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
         shutil.copytree(data / case, other / renamed)
-    run.run(other, tmp_path / "b.json", processes=1)
+    run.run(other, tmp_path / "b.json", workers=Workers(1))
     one, two = answers_of(tmp_path / "a.json"), answers_of(tmp_path / "b.json")
     for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
         assert one[case]["verdict"] == two[renamed]["verdict"]
@@ -98,19 +99,18 @@ def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_pa
         return names_gain(trials, model)
 
     file = tmp_path / "answers.json"
-    run.run(data, tmp_path / "whole.json", processes=1)
+    run.run(data, tmp_path / "whole.json", workers=Workers(1))
     monkeypatch.setitem(run.METHODS, "diagnose", stops)
     with pytest.raises(KeyboardInterrupt):
-        run.run(data, file, processes=1)
+        run.run(data, file, workers=Workers(1))
     assert not file.exists()
-    with (tmp_path / "answers.json.partial").open("a") as out:
-        out.write('{"case": "case-c", "cut o')
+    (tmp_path / "answers.json.kept" / "case-c.json").write_text('{"case": "case-c", "cut o')
     seen = []
     monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     assert len(seen) == 1
     assert file.read_bytes() == (tmp_path / "whole.json").read_bytes()
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     assert len(seen) == 1
     assert set(run.read_seconds(file)) == set(CASES)
 
@@ -118,13 +118,13 @@ def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_pa
 def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeypatch):
     file, seen = tmp_path / "answers.json", []
     monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     csv = data / "case-b" / "trial-1" / "pressure.csv"
     csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:-1]))
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     assert len(seen) == 4
     monkeypatch.setattr(seal, "tool_version", lambda: "another")
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     assert len(seen) == 7
 
 
@@ -133,7 +133,7 @@ def test_a_failure_is_an_answer_and_the_other_cases_continue(data, tmp_path, mon
         raise TrialError("too short")
 
     monkeypatch.setitem(run.METHODS, "diagnose", falls)
-    run.run(data, tmp_path / "answers.json", processes=1)
+    run.run(data, tmp_path / "answers.json", workers=Workers(1))
     answers = answers_of(tmp_path / "answers.json")
     assert [answer["failure"] for answer in answers.values()] == ["TrialError: too short"] * 3
     assert all(answer["verdict"] is None for answer in answers.values())
@@ -159,7 +159,7 @@ def test_an_answer_has_the_patched_model_and_the_margins_of_its_method(data, mon
 def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypatch):
     file, fresh = tmp_path / "answers.json", tmp_path / "fresh"
     shutil.copytree(data, fresh)
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     asked = []
 
     def measure(trials, nominal, patched):
@@ -184,7 +184,7 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
 @pytest.mark.parametrize("broken", ["answers", "labels", "data", "incomplete", "twice"])
 def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
     file, labels = tmp_path / "answers.json", tmp_path / "sealed" / "labels.json"
-    run.run(data, file, processes=1)
+    run.run(data, file, workers=Workers(1))
     files = [file]
     if broken == "answers":
         file.write_text(file.read_text().replace("pressure.gain", "rail.gain"))
@@ -212,7 +212,7 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
 
 
 def test_the_commands_run_and_open_work(data, tmp_path):
-    outcome = invoke("dev", "blind", "run", data, "--answers", tmp_path / "a.json", "--processes", 1)
+    outcome = invoke("dev", "blind", "run", data, "--answers", tmp_path / "a.json", "--workers", 1)
     assert outcome.exit_code == 0, outcome.output
     assert "frozen as" in outcome.output
     opened = ("dev", "blind", "open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")

@@ -1,12 +1,11 @@
 """A sweep: from a file to a table, restartable; and what a recipe may say."""
 
 import json
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
+from softarm.common.batch import Batch, JobsFailed, Workers
 from softarm.training.run import sweep
 from softarm.training.run.recipe import RECIPES, Recipe, begin, prepare
 from softarm.training.run.sweep import Result, SweepError
@@ -34,23 +33,23 @@ def file(tmp_path):
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_restarted_sweep_skips_finished_runs(file, tmp_path, pool):
     out, wanted = tmp_path / "runs", sweep.load(file)
-    todo, finished = sweep.plan(wanted, out, threads=1)
-    assert [(work.name, work.seed) for work in todo] == [("full", 1), ("mlp", 1), ("full", 2), ("mlp", 2)]
-    assert finished == []
+    runs = sweep.plan(wanted, out)
+    assert list(runs) == ["full, seed 1", "mlp, seed 1", "full, seed 2", "mlp, seed 2"]
 
-    killed = todo[1]  # after its first checkpoint
-    session = begin(Recipe.model_validate(killed.recipe), killed.seed, Path(killed.folder), pool, resume=False)
+    killed = runs["mlp, seed 1"]  # after its first checkpoint
+    session = begin(killed.recipe, killed.seed, killed.folder, pool, resume=False)
     session.advance()
     session.advance()
-    results = list(sweep.locally(todo[:2], 1))
-    assert {result.name for result in results} == {"full", "mlp"}
-    rows = (Path(killed.folder) / "learning_curve.csv").read_text().splitlines()
+    new = []
+    first = sweep.run_all(dict(list(runs.items())[:2]), Workers(1), new.append)
+    assert [result.name for result in new] == ["full", "mlp"]
+    rows = (killed.folder / "learning_curve.csv").read_text().splitlines()
     assert [row.split(",")[1] for row in rows[1:]] == ["256", "512"]  # gone on, not begun again
 
-    left, done = sweep.plan(wanted, out, threads=1)
-    assert [(work.name, work.seed) for work in left] == [("full", 2), ("mlp", 2)]
-    assert done == sorted(results, key=lambda each: each.name)
-    assert (out / "mlp" / "seed-1" / done[1].policy).is_file()
+    results = sweep.run_all(runs, Workers(1), new.append)
+    assert [(result.name, result.seed) for result in new[2:]] == [("full", 2), ("mlp", 2)]
+    assert results == [*first, *new[2:]]
+    assert (out / "mlp" / "seed-1" / first[1].policy).is_file()
     assert (out / "mlp" / "seed-1" / "report.html").is_file()
 
 
@@ -73,14 +72,14 @@ def test_a_finished_run_of_another_recipe_is_refused(file, tmp_path):
     other = Result("full", 1, Recipe(task="reach").model_dump(mode="json"), 1, 1.0, 0.5, {}, "reach.onnx")
     (folder / sweep.RESULT).write_text(json.dumps(other._asdict()))
     with pytest.raises(SweepError, match="another recipe"):
-        sweep.plan(wanted, tmp_path / "runs", threads=1)
+        sweep.run_all(sweep.plan(wanted, tmp_path / "runs"), Workers(1))
 
 
 def test_a_failed_run_is_named(file, tmp_path):
-    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
-    broken = todo[0]._replace(recipe=todo[0].recipe | {"model": str(tmp_path / "gone.yaml")})
-    with pytest.raises(SweepError, match="full, seed 1: ModelFileError"):
-        list(sweep.locally([broken], 1))
+    name, run = next(iter(sweep.plan(sweep.load(file), tmp_path).items()))
+    broken = run._replace(recipe=run.recipe.model_copy(update={"model": str(tmp_path / "gone.yaml")}))
+    with pytest.raises(JobsFailed, match=r"full, seed 1: ModelFileError: .*\nrepair them and start the sweep again"):
+        sweep.run_all({name: broken}, Workers(1))
 
 
 def test_the_table_has_mean_and_spread_over_seeds():
@@ -145,71 +144,13 @@ def test_settings_have_the_names_of_the_policys_file(tmp_path, pool):
     assert session.settings["randomise.ranges.arm.payload.mass"] == [0.0, 0.02]
 
 
-class FakeRay:
-    """Stand-in for the part of Ray that a sweep uses; the last run finishes first."""
-
-    def __init__(self):
-        self.asked, self.open = [], False
-
-    def init(self, address, **_options):
-        if address != "local":
-            raise ConnectionError(f"could not reach {address}\nand much more")
-        self.open = True
-
-    def shutdown(self):
-        self.open = False
-
-    def remote(self, **options):
-        def task(function, asked=options):
-            def start(work):
-                self.asked.append(asked)
-                return lambda: function(work)
-
-            return SimpleNamespace(options=lambda **more: task(function, asked | more), remote=start)
-
-        return task
-
-    def wait(self, waiting, num_returns):
-        return waiting[-1:], waiting[:-1]
-
-    def get(self, ready):
-        return ready()
-
-
-@pytest.fixture
-def ray(monkeypatch):
-    fake = FakeRay()
-    monkeypatch.setitem(sys.modules, "ray", fake)
-    return fake
-
-
-def test_a_cluster_yields_results_and_is_detached(file, tmp_path, ray, monkeypatch):
-    monkeypatch.setattr(sweep, "train", lambda work: (work.name, work.seed, ray.open))
-    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=3)
-    assert list(sweep.on_ray(todo[:2], "local")) == [("mlp", 1, True), ("full", 1, True)]
-    assert ray.asked == 2 * [{"max_retries": 0, "num_cpus": 3, "num_gpus": 0}]
-    assert not ray.open
-    on_card = todo[0]._replace(recipe=todo[0].recipe | {"settings": {"run.device": "cuda"}})
-    assert list(sweep.on_ray([on_card], "local"))
-    assert ray.asked[-1]["num_gpus"] == 1
-
-
-def test_a_missing_cluster_and_a_failed_run_on_one_are_reported(file, tmp_path, ray, monkeypatch):
-    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
-    with pytest.raises(SweepError, match=r"no Ray cluster at 'far:1': could not reach far:1; give"):
-        next(sweep.on_ray(todo, "far:1"))
-
-    def fails(work):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(sweep, "train", fails)
-    with pytest.raises(SweepError, match="mlp, seed 2: OSError: disk full"):
-        list(sweep.on_ray(todo, "local"))
-    assert not ray.open
-
-
-def test_a_cluster_without_ray_is_refused_with_the_install_command(file, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
-    with pytest.raises(SweepError, match=r"pip install 'softarm\[ray\]'"):
-        next(sweep.on_ray(todo, "local"))
+def test_a_run_on_a_cluster_takes_its_files_and_a_graphics_card_along(file, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(sweep.batch, "run", lambda text, work, *_, **__: asked.append(work) or Batch())
+    runs = sweep.plan(sweep.load(file), Path("out"))
+    sweep.run_all(runs, Workers(1, "local"))
+    (work,), run = asked, runs["mlp, seed 2"]
+    assert work.writes(run) == [Path("out/mlp/seed-2")]
+    assert work.reads(run) == [Path("seed"), Path("out/mlp/seed-2")]
+    assert work.cards(run) == 0
+    assert work.cards(run._replace(recipe=run.recipe.changed(None, {"run.device": "cuda"}))) == 1

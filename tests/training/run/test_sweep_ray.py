@@ -2,25 +2,16 @@
 
 import csv
 import json
-import os
 import signal
 import subprocess
 import sys
-import tempfile
-import time
-from pathlib import Path
 
 import pytest
 
-import softarm
+from tests.ray_instance import ENOUGH_S, ROOT, WITH_RAY, apart, await_true, processes
 
-pytest.importorskip("ray")
-
-
-ROOT = Path(softarm.__file__).parents[1]
-ENOUGH_S = 600.0  # ends a hanging test; no test depends on the speed of the machine
-# Ray itself starts for a quarter of a minute; test_sweep.py proves the same with a stand-in for Ray.
-pytestmark = [pytest.mark.slow, pytest.mark.prove, pytest.mark.timeout(1800)]
+# Ray itself starts for a quarter of a minute; tests/common/test_batch.py proves the same with a stand-in for Ray.
+pytestmark = [pytest.mark.slow, pytest.mark.prove, pytest.mark.timeout(1800), WITH_RAY]
 FILE = """
 seeds: [1]
 base: {task: reach, settings: {run.robots: 16, run.validate_every: 4, run.validation_trials: 8}}
@@ -30,16 +21,10 @@ runs:
 """
 
 
-@pytest.fixture
-def apart(monkeypatch):
-    """Give Ray a folder with a name short enough for its sockets, and wait for the end of its processes."""
-    with tempfile.TemporaryDirectory(prefix="ray-") as folder:
-        monkeypatch.setenv("RAY_TMPDIR", folder)
-        monkeypatch.setenv("RAY_AUTH_MODE", "token")
-        monkeypatch.setenv("RAY_AUTH_TOKEN", "f" * 64)  # or Ray creates a token in the home folder
-        monkeypatch.setenv("PYTHONPATH", str(ROOT))
-        yield Path(folder)
-        await_true(lambda: not processes(folder), "Ray's processes to end")
+@pytest.fixture(name="apart")
+def apart_():
+    with apart() as folder:
+        yield folder
 
 
 @pytest.fixture
@@ -47,26 +32,6 @@ def file(tmp_path):
     path = tmp_path / "sweep.yaml"
     path.write_text(FILE)
     return path
-
-
-def processes(folder):
-    """Return the processes of the Ray instance with this folder."""
-    found = []
-    for each in Path("/proc").glob("[0-9]*"):
-        try:
-            state = (each / "stat").read_text().rpartition(")")[2].split()[0]
-            if f"RAY_TMPDIR={folder}".encode() in (each / "environ").read_bytes() and state != "Z":
-                found.append(int(each.name))
-        except OSError:
-            continue  # ended meanwhile, or not ours
-    return sorted(set(found) - {os.getpid()})
-
-
-def await_true(condition, what):
-    deadline = time.monotonic() + ENOUGH_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {ENOUGH_S:.0f} s for {what}"
-        time.sleep(0.02)
 
 
 def command(file, out):
@@ -117,7 +82,7 @@ def test_a_failed_run_is_reported_with_its_own_message(file, tmp_path):
         (out / name / "seed-1" / "latest.pt").write_bytes(b"half a checkp")
     failed = subprocess.run(command(file, out), cwd=ROOT, capture_output=True, text=True, timeout=ENOUGH_S)
     assert failed.returncode == 1
-    (line,) = (line for line in failed.stderr.splitlines() if ", seed 1: " in line)
-    assert "seed 1: CheckpointError: " in line
-    assert "latest.pt" in line
+    lines = [line for line in failed.stderr.splitlines() if ", seed 1: " in line]
+    assert [line.partition(",")[0] for line in lines] == ["short", "long"]  # one failure does not stop the other
+    assert all("seed 1: CheckpointError: " in line and "latest.pt" in line for line in lines)
     assert "Traceback" not in failed.stderr + failed.stdout

@@ -1,0 +1,188 @@
+"""Diagnosis of many robots and rigs as a batch of jobs: a report of each, and one page and table of all."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypedDict
+from urllib.parse import quote
+
+from softarm.common import batch, files
+from softarm.common.batch import Kept, Work, Workers
+from softarm.common.revision import code_version
+from softarm.diagnosis import report
+from softarm.diagnosis.data.read import TABLES, stage_of_folder
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.diagnose import BUDGET_S
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.from_files import diagnose_files
+from softarm.reporting.document import Section, document
+from softarm.reporting.markup import Child, el, join, prose, table, tiles
+from softarm.reporting.numbers import percent
+from softarm.simulator import model_file
+
+INDEX, KEPT = "index", "kept"
+COLUMNS = ("recordings", "verdict", "answer", "confidence", "gap, RMS")
+
+
+class Row(TypedDict):
+    """Diagnosis of one input; its files are NAME.html, NAME.json (the verdict) and NAME.yaml (the patch)."""
+
+    name: str
+    input: str
+    failure: str  # empty if the diagnosis has succeeded
+    answer: str  # one sentence
+    gap: str  # of the stage with the largest gap, before and after
+    patched: bool
+    notes: list[str]
+    verdict: dict[str, Any] | None  # as in NAME.json
+
+
+def diagnose_all(
+    inputs: Sequence[Path],
+    out: Path,
+    workers: Workers | None = None,
+    model: Path | None = None,
+    budget_s: float = BUDGET_S,
+    calibration: bool = True,
+) -> list[Row]:
+    """Diagnose each input on its own and write its files, OUT/index.html and OUT/index.json.
+
+    Rows have the order of the inputs. Kept answers of the same tool to the same data are used again. The place of the
+    jobs changes no byte.
+
+    Args:
+        inputs: Logs, trial folders, campaigns, stage.yaml files and folders that have one.
+        out: Folder of the results.
+        workers: Place that the diagnoses run at.
+        model: Nominal model of robots; by default the campaign's, else the seed's.
+        budget_s: Processor time of each rig, s.
+        calibration: Whether the patches contain the calibration.
+
+    Raises:
+        TrialError: Two inputs are the same.
+        ModelFileError: The model file is missing or invalid.
+        OSError: A file cannot be written.
+    """
+    named = {name: stage_of_folder(path) for name, path in names(inputs).items()}
+    settings = {
+        "tool": code_version("common", "diagnosis", "schemas", "simulator", without="blind"),
+        "model": None if model is None else model_file.fingerprint(model_file.load(model)),
+        "budget_s": budget_s,
+        "calibration": calibration,
+    }
+
+    def depends_on(name: str) -> dict[str, Any]:
+        data = [files.sha256_of(path) for path in _files(named[name], None) if path.exists()]
+        return {**settings, "data": data, "written": (out / f"{name}.html").is_file()}
+
+    work = Work(
+        partial(_diagnosed, out=out, model=model, budget_s=budget_s, calibration=calibration),
+        reads=lambda named: _files(named[1], model),
+        writes=lambda named: [out / f"{named[0]}{suffix}" for suffix in (".html", ".json", ".yaml")],
+    )
+    kept = Kept(lambda name: out / KEPT / f"{name}.json", depends_on)
+    done = batch.run("diagnosing", work, {name: (name, path) for name, path in named.items()}, workers, kept=kept)
+    rows = []
+    for name, path in named.items():
+        failure = done.failures.get(name)
+        rows.append(_row(name, path, failure=failure.message) if failure else done.results[name]["row"])
+        if not rows[-1]["patched"]:
+            (out / f"{name}.yaml").unlink(missing_ok=True)
+    files.write_text(out / f"{INDEX}.json", json.dumps(rows, indent=1) + "\n")
+    files.write_text(out / f"{INDEX}.html", page(rows))
+    return rows
+
+
+def names(inputs: Sequence[Path]) -> dict[str, Path]:
+    """Return the inputs by short unique names: the last parts of their paths that differ. Raises TrialError."""
+    absolute = [path.absolute() for path in inputs]
+    whole = [path.parent if path.name == "stage.yaml" else path for path in absolute]
+    if twice := [str(path) for path, count in Counter(whole).items() if count > 1]:
+        raise TrialError(f"{twice[0]}: is given twice; name each input once")
+    parts = 1
+    while True:
+        found = ["-".join(path.parts[-parts:]) for path in whole]
+        if len(set(found)) == len(found) and INDEX not in found:
+            return dict(zip(found, inputs, strict=True))
+        parts += 1
+
+
+def patch(result: Diagnosis, stage: Path | None, calibration: bool) -> str | None:
+    """Return the nominal model with the findings as a file's text, or None if there are none.
+
+    Args:
+        result: Diagnosis.
+        stage: stage.yaml of a rig; None for the robot.
+        calibration: Whether the calibration is a part of it.
+    """
+    if stage is not None:
+        from softarm.diagnosis.rigs.patch import patched
+
+        return patched(stage, result.verdict, calibration)
+    model = result.calibrated if calibration else result.patched
+    return None if model is None else model_file.text(model)
+
+
+def _files(source: Path, model: Path | None) -> list[Path]:
+    """Return the files and folders that a diagnosis reads."""
+    own = source.parent if source.suffix in TABLES else source
+    beside = [] if source.suffix in TABLES else [source.parent / "model.yaml"]
+    return [own, *beside, *([] if model is None else [model])]
+
+
+def _diagnosed(
+    named: tuple[str, Path], out: Path, model: Path | None, budget_s: float, calibration: bool
+) -> dict[str, Row]:
+    """Diagnose one input and write its files; the time that it took is left out, so that equal answers are equal."""
+    name, source = named
+    notes: list[str] = []
+    own = None if source.suffix in TABLES else model
+    found = diagnose_files([source], own, warn=notes.append, budget_s=budget_s, processes=1)
+    result = replace(found, seconds=0.0)
+    verdict, stage = result.verdict, result.verdict.where.stage
+    text = patch(result, source if source.suffix in TABLES else None, calibration)
+    out.mkdir(parents=True, exist_ok=True)
+    report.write(result, out / f"{name}.html")
+    files.write_text(out / f"{name}.json", verdict.model_dump_json(indent=1) + "\n")
+    if text is not None:
+        files.write_text(out / f"{name}.yaml", text)
+    row = _row(name, source, answer=report.headline(result), patched=text is not None, notes=notes)
+    row["verdict"] = json.loads(verdict.model_dump_json())
+    if stage in verdict.gap.before:
+        row["gap"] = f"{stage}: {report.corrected(result, stage)}"
+    return {"row": row}
+
+
+def _row(name: str, source: Path, **known: Any) -> Row:
+    row = Row(name=name, input=str(source), failure="", answer="", gap="", patched=False, notes=[], verdict=None)
+    row.update(known)  # type: ignore[typeddict-item]
+    return row
+
+
+def cells(row: Row) -> tuple[str, str, str, str]:
+    """Return verdict, answer, smallest confidence of a named effect, and gap of a row as texts."""
+    verdict = row["verdict"]
+    if verdict is None:
+        return "failed", row["failure"], "", ""
+    rated = [effect["confidence"] for effect in verdict["effects"] if effect["confidence"] is not None]
+    return verdict["verdict"], row["answer"], percent(min(rated)) if rated else "-", row["gap"]
+
+
+def page(rows: Sequence[Row]) -> str:
+    """Return the page with a row per input, each with a link to its report; equal rows give equal pages."""
+    counts = Counter(cells(row)[0] for row in rows)
+    title = f"{len(rows)} diagnoses"
+    lead = join([el("h1", title), tiles([(kind, str(count)) for kind, count in sorted(counts.items())])])
+    shown = table((*COLUMNS, "patch"), map(_cells, rows), title)
+    return document(title, "softarm diagnosis", lead, [Section("All recordings", "all", shown)])
+
+
+def _cells(row: Row) -> tuple[Child, ...]:
+    name = row["name"]
+    verdict, answer, *others = cells(row)
+    link = name if row["verdict"] is None else el("a", name, href=quote(f"{name}.html"), title=row["input"])
+    patch = el("a", "patch", href=quote(f"{name}.yaml")) if row["patched"] else ""
+    return link, verdict, prose(answer), *others, patch

@@ -1,0 +1,141 @@
+"""Diagnosis of many robots and rigs: one table and page, restartable."""
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softarm.common.batch import Workers
+from softarm.diagnosis import many
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.engine.result import Diagnosis, Overlay
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
+from tests.cli.invoke import invoke
+from tests.cli.trial_folder import write_trial
+from tests.diagnosis.verdicts import effect, gap, rms, verdict
+
+BEFORE, AFTER, FLOOR = (rms("kPa", pressure=value) for value in (2.0, 1.0, 0.2))
+NAMED = verdict(
+    "named",
+    effect("pressure.dead_time", confidence=0.9, delay=(0.06, 0.05, 0.07, "s")),
+    stage="pressure",
+    share={"pressure": 1.0},
+    gaps=gap(BEFORE, AFTER, FLOOR),
+)
+UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": ()})
+HERE = Workers(1)
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """Replace the diagnosis, and return its inputs; the working folder has two robots and a rig."""
+    asked = SimpleNamespace(trials=[], models=[], budgets=[], processes=set())
+
+    def diagnose(trials, model, progress=None, processes=1, budget_s=120.0):
+        asked.trials.append(trials[0].name)
+        asked.models.append(model)
+        asked.budgets.append(budget_s)
+        asked.processes.add(processes)
+        t = np.arange(30) / 30
+        overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
+        found, patched = (NAMED, Model()) if trials[0].name != "quiet" else (UNKNOWN, None)
+        return Diagnosis(found, model, None, (("a", "seed", 1.0),), (overlay,), seconds=3.0, calibrated=patched)
+
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "robots" / "one" / "loud", Model(effects={}))
+    write_trial(tmp_path / "robots" / "two" / "quiet")
+    return asked
+
+
+ROBOTS = [Path("robots/two"), Path("robots/one")]
+
+
+def test_each_input_has_its_files_and_all_have_one_page_and_one_table(asked):
+    outcome = invoke("diagnose", *ROBOTS, "--out", "reports", "--workers", 1, "--budget", 7)
+    assert outcome.exit_code == 0, outcome.output
+    out = Path("reports")
+    assert Verdict.model_validate_json((out / "one.json").read_text()) == NAMED
+    assert model_file.load(out / "one.yaml") == Model()
+    assert not (out / "two.yaml").exists()
+    rows = json.loads((out / "index.json").read_text())
+    assert [(row["name"], row["verdict"]["verdict"], row["patched"]) for row in rows] == [
+        ("two", "unknown", False),
+        ("one", "named", True),
+    ]
+    page = (out / "index.html").read_text()
+    assert page.index('href="two.html"') < page.index('href="one.html"')
+    assert page.count("<tr>") == 3
+    assert "took 3 s" not in (out / "one.html").read_text()
+    output = " ".join(outcome.output.replace("│", " ").split())
+    assert "90 %" in output
+    assert "two: no --model and no model.yaml with the trials" in output
+    assert (asked.budgets, asked.processes) == ([7.0, 7.0], {1})
+    assert asked.models == [Model(), Model(effects={})]
+
+
+def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
+    out = Path("reports")
+
+    def diagnosed(**settings):
+        asked.trials.clear()
+        rows = many.diagnose_all(ROBOTS, out, HERE, **settings)
+        return asked.trials, rows, {path.name: path.read_bytes() for path in out.glob("*.*")}
+
+    trials, first, content = diagnosed()
+    assert trials == ["quiet", "loud"]
+    assert diagnosed() == ([], first, content)
+    (out / "one.html").unlink()
+    assert diagnosed() == (["loud"], first, content)
+    text = (ROBOTS[0] / "quiet" / "pressure.csv").read_text()
+    (ROBOTS[0] / "quiet" / "pressure.csv").write_text(text + "1.0,3.0\n")
+    assert diagnosed()[0] == ["quiet"]
+    model_file.save(Model(), ROBOTS[1] / "model.yaml")
+    assert diagnosed()[0] == ["loud"]
+    assert diagnosed(model=Path("no-delay"))[0] == ["quiet", "loud"]
+    assert diagnosed(budget_s=3.0)[0] == ["quiet", "loud"]
+    monkeypatch.setattr(many, "code_version", lambda *names, without: "another")
+    assert diagnosed()[0] == ["quiet", "loud"]
+
+
+def test_a_failure_has_a_row_and_the_others_continue(asked):
+    Path("robots/empty").mkdir()
+    outcome = invoke("diagnose", "robots/empty", *ROBOTS, "--out", "reports", "--workers", 1)
+    assert outcome.exit_code == 1
+    assert "robots/empty: robots/empty: contains no trial" in outcome.stderr
+    rows = json.loads(Path("reports/index.json").read_text())
+    assert [bool(row["failure"]) for row in rows] == [True, False, False]
+    assert rows[0]["verdict"] is None
+    assert 'href="empty.html"' not in Path("reports/index.html").read_text()
+    shutil.rmtree("robots/empty")
+    write_trial(Path("robots/empty/loud"))
+    assert invoke("diagnose", "robots/empty", *ROBOTS, "--out", "reports", "--workers", 1).exit_code == 0
+    assert asked.trials == ["quiet", "loud", "loud"]
+
+
+def test_names_are_the_parts_of_the_paths_that_differ():
+    given = [Path(name) for name in ("a/x", "b/x", "b/rig/stage.yaml", "b/y.mcap")]
+    assert list(many.names(given)) == ["a-x", "b-x", "b-rig", "b-y.mcap"]
+    assert list(many.names(given[1:])) == ["x", "rig", "y.mcap"]
+    assert list(many.names([Path("a/index")])) == ["a-index"]
+    with pytest.raises(TrialError, match="is given twice"):
+        many.names([Path("b/rig"), Path("b/rig/stage.yaml")])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--out", "reports", "--json", "a.json"), "--json is for one diagnosis"),
+        (("--workers", "2"), "--workers is for many diagnoses: add --out FOLDER"),
+        (("--ray", "local"), "--ray is for many diagnoses"),
+    ],
+)
+def test_options_of_one_and_of_many_diagnoses_are_not_mixed(asked, options, words):
+    outcome = invoke("diagnose", *ROBOTS, *options)
+    assert outcome.exit_code == 2
+    assert words in outcome.output
