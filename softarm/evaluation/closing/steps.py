@@ -55,7 +55,7 @@ def close(
     spent: Spent,
     options: Options,
     through: Callable[[Closed], Wires | None] = lambda closed: None,
-    tell: Callable[[str], None] = lambda text: None,
+    report_way: Callable[[str], None] = lambda text: None,
 ) -> Closed:
     """Compare the ways to use a diagnosis with the old policy, and write all results to `out`.
 
@@ -71,7 +71,7 @@ def close(
             they are compared on the patched simulator.
         spent: Time of earlier steps; receives the time of each step.
         through: Flies the old and the retrained policy on wires, or returns None.
-        tell: Called with a sentence after each way.
+        report_way: Called with a sentence after each way.
 
     Raises:
         ValueError: No policy can fly this robot, or the retraining is too short; the diagnosis is written first.
@@ -98,24 +98,25 @@ def close(
         }
     closed = replace(closed, flown=flown)
     if found.patched is not None and options.replanned:
-        closed = _compared(closed, REPLANNED, Replanning(out / PATCH), options, tell)
+        closed = _compared(closed, REPLANNED, Replanning(out / PATCH), out, options, report_way)
     if options.adaptive is not None:
-        closed = _compared(closed, ADAPTIVE, options.adaptive, options, tell)
+        closed = _compared(closed, ADAPTIVE, options.adaptive, out, options, report_way)
     if found.patched is not None:
         with timed(spent, "retrain"):
             retrained = _retrain(policy, found.patched, out, config, rail.patched.limits.rail)
-        closed = _compared(replace(closed, retrained=retrained), NEW, retrained.policy, options, tell)
-    closed = closed.with_task()
-    # Before the robot moves, so that the results survive an interrupted flight.
-    _write(closed, out)
+        closed = _compared(replace(closed, retrained=retrained), NEW, retrained.policy, out, options, report_way)
+    if not closed.ways:
+        _write(closed := closed.with_task(), out)
     if (wires := through(closed)) is not None:
         closed = replace(closed, wires=wires)
         _write(closed, out)
     return closed
 
 
-def _compared(closed: Closed, name: str, policy: Flown, options: Options, tell: Callable[[str], None]) -> Closed:
-    """Fly a way and the old policy on the judging robot until the decision is clear."""
+def _compared(
+    closed: Closed, name: str, policy: Flown, out: Path, options: Options, report_way: Callable[[str], None]
+) -> Closed:
+    """Fly a way and the old policy on the judging robot until the decision is clear, and write the results so far."""
     judged, title = closed.judged, TITLES[name]
     known = closed.flown.get((OLD, judged.key), NONE)
     with timed(closed.spent, name), bar(f"flying {title}") as shown:
@@ -125,8 +126,9 @@ def _compared(closed: Closed, name: str, policy: Flown, options: Options, tell: 
 
         config = closed.rail.patched
         old, new = compare(closed.policy, policy, judged.robot, config, options.draws, known, report)
-    closed = replace(closed, flown={**closed.flown, (OLD, judged.key): old, (name, judged.key): new})
-    tell(story.sentence(closed, name))
+    closed = replace(closed, flown={**closed.flown, (OLD, judged.key): old, (name, judged.key): new}).with_task()
+    _write(closed, out)
+    report_way(story.sentence(closed, name))
     return closed
 
 

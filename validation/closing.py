@@ -1,0 +1,151 @@
+"""Close the gap of hidden faults of the independent robot, singly and in pairs, in all ways.
+
+    python -m validation.closing --out runs/closing --json closing.json
+
+A case records eight trials of a robot with its faults, 135 s together, and runs `softarm close-gap` on them. A case
+with finished results in --out is not repeated. Needs the extras `mujoco`, `train` and `diagnosis`.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks import results
+from benchmarks.markdown import markdown
+from softarm.common import files
+from softarm.common.processes import bar
+from softarm.evaluation.closing.fly import fly
+from softarm.evaluation.closing.outcomes import TITLES
+from softarm.evaluation.robots import with_faults
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import RobotParameters
+from softarm.reality.record import record
+from softarm.schemas.config import Config
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+
+SINGLE = (
+    "rail.delay_s=0.09",
+    "rail.acceleration_m_s2=2.5",
+    "rail.lag_s=0.1",
+    "rail.viscous_n_s_m=12",
+    "regulator.dead_time_s=0.12",
+    "regulator.gain=-0.3",
+    "arm.payload_kg=0.1",
+    "arm.damping=1",
+    "arm.stiffness=0.5",
+    "arm.muscle_gain=-0.35",
+)
+# A fault of the rail with one of another stage.
+PAIRS = tuple(zip(SINGLE[:5], SINGLE[5:], strict=True))
+CASES = (*((fault,) for fault in SINGLE), *PAIRS)
+KINDS = (
+    "seed",
+    "pressure-staircase",
+    "free-decay",
+    "pressure-multisine",
+    "rail-steps",
+    "rail-chirp",
+    "rail-multisine",
+    "both",
+)
+LEVEL_FLIGHTS = 324
+NEAR = 0.03  # of the level without the fault
+
+
+def record_campaign(folder: Path, robot: RobotParameters) -> None:
+    """Record eight trials of a robot, and the nominal model."""
+    for number, kind in enumerate(KINDS, 1):
+        of = EXCITATIONS[kind]
+        record(
+            of.at, folder / f"trial-{number}", of.duration_s, robot, 1000 + number, kind=kind, held=not of.moves_rail
+        )
+    model_file.save(Model(), folder / "model.yaml")
+
+
+def level_of(policy: str, out: Path) -> float:
+    """Return a policy's success on the robot without a fault, flown once for each folder."""
+    file = out / f"level-{policy}.json"
+    if not file.exists():
+        flown = fly(MODELS / f"{policy}.onnx", RobotParameters(), Config(), LEVEL_FLIGHTS)
+        files.write_text(file, json.dumps(flown.share))
+    level: float = json.loads(file.read_text(encoding="utf-8"))
+    return level
+
+
+def closed(case: tuple[str, ...], policy: str, seconds: float, out: Path) -> dict[str, Any]:
+    """Return the summary of a case, made now unless it exists. Raises ClickException if close-gap fails."""
+    folder = out / "+".join(case)
+    summary = folder / "closed" / "summary.json"
+    if not (folder / "campaign" / "model.yaml").exists():
+        record_campaign(folder / "campaign", with_faults(RobotParameters(), case))
+    if not summary.exists():
+        command = [sys.executable, "-m", "softarm.cli.main", "close-gap", str(folder / "campaign")]
+        command += ["--out", str(summary.parent), "--policy", policy, "--seconds", f"{seconds:g}"]
+        command += [part for fault in case for part in ("--fault", fault)]
+        with (folder / "log.txt").open("w") as log:
+            done = subprocess.run(command, check=False, stdout=log, stderr=subprocess.STDOUT)
+        if done.returncode not in (0, 3):
+            raise click.ClickException(
+                f"close-gap ended with {done.returncode}: see {folder / 'log.txt'}, remove {folder}"
+            )
+    found: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
+    return {key: found[key] for key in ("verdict", "effects", "ways", "fly", "spent")}
+
+
+def table(level: float, found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the table of all cases: share and stops of each way, and whether one returns to the level."""
+    rows = []
+    for case, summary in found.items():
+        ways = summary["ways"]
+        cells = [_cell(ways[name]) if name in ways else "" for name in TITLES]
+        back = any(_share(way) >= level - NEAR and not _stops(way) for name, way in ways.items() if name != "old")
+        seconds = sum(step["cpu_s"] for step in summary["spent"].values())
+        named = ", ".join(summary["effects"]) or summary["verdict"]
+        rows.append([f"`{case}`", named, *cells, "yes" if back else "no", summary["fly"], f"{seconds:.0f}"])
+    head = ("fault", "named", *TITLES.values(), f"within 3 points of {100 * level:.0f} %", "advice", "processor, s")
+    return markdown(head, rows)
+
+
+def _cell(way: Mapping[str, Any]) -> str:
+    stops = _stops(way)
+    return f"{100 * _share(way):.0f} %{f', {stops} stops' if stops else ''}, {way['cpu_s']:.0f} s"
+
+
+def _share(way: Mapping[str, Any]) -> float:
+    parts = (way["rest"], way["swinging"])
+    share: float = sum(part["reached"] for part in parts) / sum(part["flights"] for part in parts)
+    return share
+
+
+def _stops(way: Mapping[str, Any]) -> int:
+    return sum(sum(way[manner]["stops"].values()) for manner in ("rest", "swinging"))
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="runs/closing", show_default=True)
+@click.option("--policy", default="reach", show_default=True, help="The old policy, a shipped name.")
+@click.option("--seconds", type=float, default=120.0, show_default=True, help="Longest retraining; more on a busy one.")
+@click.option("--cases", type=click.IntRange(1, len(CASES)), default=len(CASES), help="Only the first so many cases.")
+@results.json_option
+def main(out: Path, policy: str, seconds: float, cases: int, json_file: Path | None) -> None:
+    """Close the gap of ten faults and five pairs, and print a row for each."""
+    out.mkdir(parents=True, exist_ok=True)
+    level = level_of(policy, out)
+    found: dict[str, dict[str, Any]] = {}
+    with bar("closing gaps", cases) as shown:
+        for case in CASES[:cases]:
+            found["+".join(case)] = closed(case, policy, seconds, out)
+            results.write(json_file, {"level": level, "cases": found})
+            shown.advance(1, "+".join(case))
+    click.echo(table(level, found))
+
+
+if __name__ == "__main__":
+    main()
