@@ -51,10 +51,11 @@ def on_ray(work: Work[J, R], jobs: list[tuple[str, J]], address: str) -> Iterato
             waiting: dict[Any, tuple[str, J]] = {}
             todo = iter(jobs)
             while True:
-                most = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-                while len(waiting) < most and (keyed := next(todo, None)) is not None:
-                    # Ray hides graphics cards that were not requested.
-                    task = remote.options(num_cpus=work.threads, num_gpus=work.cards(keyed[1]))
+                cpus = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
+                while len(waiting) < AHEAD * max(1, sum(cpus)) and (keyed := next(todo, None)) is not None:
+                    # Ray hides cards that were not requested, and waits forever for more cores than a node has.
+                    needs = {"num_cpus": min(work.threads, max([1, *cpus])), "num_gpus": work.cards(keyed[1])}
+                    task = remote.options(**needs)
                     waiting[task.remote(work.run, keyed, _parcel(work, keyed[1], Path(mark.name).name))] = keyed
                 if not waiting:
                     return

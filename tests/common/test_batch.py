@@ -30,8 +30,10 @@ class FakeRay:
     def shutdown(self):
         self.is_open = False
 
-    def cluster_resources(self):
-        return {"CPU": 1.0}
+    def nodes(self):
+        return [
+            {"Alive": alive, "Resources": {"CPU": count}} for alive, count in ((True, 1.0), (True, 2.0), (False, 64.0))
+        ]
 
     def remote(self, **options):
         def task(function, asked=options):
@@ -175,7 +177,8 @@ def test_a_cluster_gets_the_needs_of_each_job_and_is_detached(ray):
     work = Work(lambda n: {"open": ray.is_open}, threads=3, cards=lambda n: int(n == 2))
     found = batch.run("", work, {"a": 1, "b": 2}, FAKE).complete()
     assert found == {"a": {"open": True}, "b": {"open": True}}
-    assert ray.asked == [{"max_retries": 0, "num_cpus": 3, "num_gpus": cards} for cards in (0, 1)]
+    # No node has three cores.
+    assert ray.asked == [{"max_retries": 0, "num_cpus": 2, "num_gpus": cards} for cards in (0, 1)]
     assert not ray.is_open
 
 
@@ -183,7 +186,7 @@ def test_a_cluster_holds_few_jobs_at_once(ray, monkeypatch):
     waits, wait = [], ray.wait
     monkeypatch.setattr(ray, "wait", lambda waiting, num_returns: waits.append(len(waiting)) or wait(waiting, 1))
     batch.run("", squared, {str(n): n for n in range(20)}, FAKE)
-    assert max(waits) == cluster.AHEAD
+    assert max(waits) == cluster.AHEAD * 3
 
 
 def test_a_worker_that_died_and_another_version_are_failures_of_their_jobs(ray, monkeypatch):
