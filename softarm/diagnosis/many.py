@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NamedTuple, TypedDict
 from urllib.parse import quote
 
 from softarm.common import batch, files
@@ -40,55 +40,46 @@ class Row(TypedDict):
     verdict: dict[str, Any] | None  # as in NAME.json
 
 
-def diagnose_all(
-    inputs: Sequence[Path],
-    out: Path,
-    workers: Workers | None = None,
-    model: Path | None = None,
-    budget_s: float = BUDGET_S,
-    calibration: bool = True,
-) -> list[Row]:
-    """Diagnose each input on its own and write its files, OUT/index.html and OUT/index.json.
+class Options(NamedTuple):
+    """Options of all diagnoses."""
 
-    Rows have the order of the inputs. Kept answers of the same tool to the same data are used again. The place of the
-    jobs changes no byte.
+    out: Path  # folder of the results
+    model: Path | None = None  # nominal model of robots; by default the campaign's, else the seed's
+    budget_s: float = BUDGET_S  # processor time of each rig
+    calibration: bool = True  # whether the patches contain the calibration
 
-    Args:
-        inputs: Logs, trial folders, campaigns, stage.yaml files and folders that have one.
-        out: Folder of the results.
-        workers: Place that the diagnoses run at.
-        model: Nominal model of robots; by default the campaign's, else the seed's.
-        budget_s: Processor time of each rig, s.
-        calibration: Whether the patches contain the calibration.
+
+def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | None = None) -> list[Row]:
+    """Diagnose each input on its own and write its files, index.html and index.json; return a row for each.
+
+    Inputs are logs, trial folders, campaigns, stage.yaml files and folders that have one. Kept answers of the same tool
+    to the same data are used again. The place of the jobs changes no byte.
 
     Raises:
         TrialError: Two inputs are the same.
         ModelFileError: The model file is missing or invalid.
         OSError: A file cannot be written.
     """
-    named = {name: stage_of_folder(path) for name, path in names(inputs).items()}
-    settings = {
-        "tool": code_version("common", "diagnosis", "schemas", "simulator", without="blind"),
-        "model": None if model is None else model_file.fingerprint(model_file.load(model)),
-        "budget_s": budget_s,
-        "calibration": calibration,
-    }
+    out, todo = options.out, {name: (name, stage_of_folder(path)) for name, path in names(inputs).items()}
+    tool = code_version("common", "diagnosis", "schemas", "simulator", without="blind")
+    model = None if options.model is None else model_file.fingerprint(model_file.load(options.model))
 
     def depends_on(name: str) -> dict[str, Any]:
-        data = [files.sha256_of(path) for path in _files(named[name], None) if path.exists()]
-        return {**settings, "data": data, "written": (out / f"{name}.html").is_file()}
+        data = [files.sha256_of(path) for path in _files(todo[name][1]) if path.exists()]
+        settings = [model, options.budget_s, options.calibration]
+        return {"tool": tool, "settings": settings, "data": data, "written": (out / f"{name}.html").is_file()}
 
     work = Work(
-        partial(_diagnosed, out=out, model=model, budget_s=budget_s, calibration=calibration),
-        reads=lambda named: _files(named[1], model),
+        partial(_diagnosed, options=options),
+        reads=lambda named: [*_files(named[1]), *([] if options.model is None else [options.model])],
         writes=lambda named: [out / f"{named[0]}{suffix}" for suffix in (".html", ".json", ".yaml")],
     )
     kept = Kept(lambda name: out / KEPT / f"{name}.json", depends_on)
-    done = batch.run("diagnosing", work, {name: (name, path) for name, path in named.items()}, workers, kept=kept)
+    done = batch.run("diagnosing", work, todo, workers, kept=kept)
     rows = []
-    for name, path in named.items():
+    for name, source in todo.values():
         failure = done.failures.get(name)
-        rows.append(_row(name, path, failure=failure.message) if failure else done.results[name]["row"])
+        rows.append(_row(name, source, failure=failure.message) if failure else done.results[name]["row"])
         if not rows[-1]["patched"]:
             (out / f"{name}.yaml").unlink(missing_ok=True)
     files.write_text(out / f"{INDEX}.json", json.dumps(rows, indent=1) + "\n")
@@ -126,24 +117,19 @@ def patch(result: Diagnosis, stage: Path | None, calibration: bool) -> str | Non
     return None if model is None else model_file.text(model)
 
 
-def _files(source: Path, model: Path | None) -> list[Path]:
-    """Return the files and folders that a diagnosis reads."""
-    own = source.parent if source.suffix in TABLES else source
-    beside = [] if source.suffix in TABLES else [source.parent / "model.yaml"]
-    return [own, *beside, *([] if model is None else [model])]
+def _files(source: Path) -> list[Path]:
+    """Return the files and folders of a recording, with the model of its campaign."""
+    return [source.parent] if source.suffix in TABLES else [source, source.parent / "model.yaml"]
 
 
-def _diagnosed(
-    named: tuple[str, Path], out: Path, model: Path | None, budget_s: float, calibration: bool
-) -> dict[str, Row]:
+def _diagnosed(named: tuple[str, Path], options: Options) -> dict[str, Row]:
     """Diagnose one input and write its files; the time that it took is left out, so that equal answers are equal."""
-    name, source = named
-    notes: list[str] = []
-    own = None if source.suffix in TABLES else model
-    found = diagnose_files([source], own, warn=notes.append, budget_s=budget_s, processes=1)
+    (name, source), out, notes = named, options.out, list[str]()
+    own = None if source.suffix in TABLES else options.model
+    found = diagnose_files([source], own, warn=notes.append, budget_s=options.budget_s, processes=1)
     result = replace(found, seconds=0.0)
     verdict, stage = result.verdict, result.verdict.where.stage
-    text = patch(result, source if source.suffix in TABLES else None, calibration)
+    text = patch(result, source if source.suffix in TABLES else None, options.calibration)
     out.mkdir(parents=True, exist_ok=True)
     report.write(result, out / f"{name}.html")
     files.write_text(out / f"{name}.json", verdict.model_dump_json(indent=1) + "\n")

@@ -137,7 +137,7 @@ def test_a_diagnosis_gives_the_same_bytes(there, folders):
             write(case, folder / "data" / str(strength), folder / "truths")
 
     def diagnose(workers):
-        return many.diagnose_all(sorted(Path("data").glob("*/*")), Path("out"), workers, budget_s=5.0)
+        return many.diagnose_all(sorted(Path("data").glob("*/*")), many.Options(Path("out"), budget_s=5.0), workers)
 
     here, far = in_both(folders, there, diagnose)
     assert here == far

@@ -12,6 +12,7 @@ from softarm.common.batch import Workers
 from softarm.diagnosis import many
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
+from softarm.diagnosis.many import Options
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
@@ -84,7 +85,7 @@ def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
 
     def diagnosed(**settings):
         asked.trials.clear()
-        rows = many.diagnose_all(ROBOTS, out, HERE, **settings)
+        rows = many.diagnose_all(ROBOTS, Options(out, **settings), HERE)
         return asked.trials, rows, {path.name: path.read_bytes() for path in out.glob("*.*")}
 
     trials, first, content = diagnosed()

@@ -18,6 +18,7 @@ from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.result import Diagnosis
+    from softarm.diagnosis.many import Options
 
 
 @click.command()
@@ -83,7 +84,7 @@ def diagnose(
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import TABLES, stage_of_folder
     from softarm.diagnosis.from_files import diagnose_files
-    from softarm.diagnosis.many import patch
+    from softarm.diagnosis.many import Options, patch
 
     inputs = tuple(map(stage_of_folder, inputs))
     stage = next((path for path in inputs if path.suffix in TABLES), None)
@@ -99,7 +100,7 @@ def diagnose(
     if out is not None:
         if wrong := [name for name, place in {**places, "--data": data}.items() if place is not None]:
             raise click.UsageError(f"{wrong[0]} is for one diagnosis: omit it, or omit --out")
-        _diagnose_all(inputs, out, workers, model_file, budget_s, calibration)
+        _diagnose_all(inputs, Options(out, model_file, budget_s, calibration), workers)
         return
     if wrong := [name for name in typed() if name in ("--workers", "--ray")]:
         raise click.UsageError(f"{wrong[0]} is for many diagnoses: add --out FOLDER")
@@ -135,17 +136,15 @@ def diagnose(
         click.echo(f"wrote {', '.join(map(str, written))}")
 
 
-def _diagnose_all(
-    inputs: tuple[Path, ...], out: Path, workers: Workers, model: Path | None, budget_s: float, calibration: bool
-) -> None:
+def _diagnose_all(inputs: tuple[Path, ...], options: "Options", workers: Workers) -> None:
     """Diagnose each input on its own and print the table; end the command with exit code 1 if one has failed."""
     from softarm.diagnosis import many
 
-    leaves(f"finished diagnoses are kept in {out}; the same command continues")
-    rows = many.diagnose_all(inputs, out, workers, model, budget_s, calibration)
+    leaves(f"finished diagnoses are kept in {options.out}; the same command continues")
+    rows = many.diagnose_all(inputs, options, workers)
     print_table(many.COLUMNS, [(row["name"], *many.cells(row)) for row in rows])
     warn(*(f"{row['name']}: {note}" for row in rows for note in row["notes"]))
-    click.echo(f"wrote {out / 'index.html'} and {out / 'index.json'}")
+    click.echo(f"wrote {options.out / 'index.html'} and {options.out / 'index.json'}")
     if failed := [f"{row['input']}: {row['failure']}" for row in rows if row["failure"]]:
         fail("\n".join(failed))
 

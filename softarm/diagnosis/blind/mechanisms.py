@@ -21,7 +21,7 @@ import numpy as np
 from softarm.common import batch
 from softarm.common.batch import JobsFailed, Work, Workers
 from softarm.common.cluster import ClusterError
-from softarm.diagnosis.blind.rigs import add_workers, answered, run, workers_of
+from softarm.diagnosis.blind.rigs import add_workers, answered, run
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.mechanisms.cases import draw_and_write
 
@@ -129,11 +129,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     add_workers(parser)
     given = parser.parse_args(arguments)
+    workers = Workers(given.workers, given.ray)
     try:
         if given.verb == "make":
-            print(f"{make(given.folder, given.cases, given.seed, workers_of(given))} cases recorded in {given.folder}")
+            print(f"{make(given.folder, given.cases, given.seed, workers)} cases recorded in {given.folder}")
         elif given.verb == "run":
-            run(given.folder, workers_of(given))
+            run(given.folder, workers)
         else:
             cases = [(truth, reply) for truth, reply in answered(given.folder) if reply is not None]
             if not cases:

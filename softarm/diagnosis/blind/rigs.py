@@ -90,14 +90,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         match given.verb:
             case "make":
                 cases = draw(given.cases, given.seed, given.kind or get_args(Kind), given.category or CATEGORIES)
-                make(cases, folder, workers_of(given))
+                make(cases, folder, Workers(given.workers, given.ray))
                 print(f"{len(cases)} cases in {folder / 'data'}, their causes in {folder / 'truths'}")
             case "one":
                 case = case_of(given.rig, given.fault, given.strength, given.seed, given.excitation or ())
                 write(case, folder / "data", folder / "truths")
                 print(folder / "data" / case.name / "stage.yaml")
             case "run":
-                run(folder, workers_of(given), given.case or ())
+                run(folder, Workers(given.workers, given.ray), given.case or ())
             case _:
                 _print(folder)
     except (ValueError, KeyError, TrialError, JobsFailed, ClusterError) as error:
@@ -121,11 +121,6 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add the options of the place that jobs run at."""
     parser.add_argument("--workers", type=int, default=cores(), help="parallel jobs here; one per core by default")
     parser.add_argument("--ray", help="address of a Ray cluster that runs the jobs; 'local' starts one here")
-
-
-def workers_of(given: argparse.Namespace) -> Workers:
-    """Return the place that jobs run at, from the options."""
-    return Workers(given.workers, given.ray)
 
 
 def _parser() -> argparse.ArgumentParser:
