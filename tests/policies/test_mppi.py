@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import commands
 from softarm.daemon.runtime.offline import Lockstep
+from softarm.evaluation.runner import Runner
 from softarm.policies.base import PolicyError
 from softarm.policies.mppi import plans
 from softarm.policies.mppi.cost import cost
@@ -15,6 +16,7 @@ from softarm.policies.mppi.estimator import Estimator
 from softarm.policies.mppi.policy import Mppi
 from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
 from softarm.policies.runner import InlineRunner
+from softarm.schemas import flights
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
@@ -89,6 +91,23 @@ class TestFlights:
         assert "tip_z is nan" in runner.step(broken, TARGET).fault
         assert "target_y is nan" in runner.step(HANGING, np.full(2, np.nan, np.float32)).fault
         assert runner.step(HANGING, TARGET).fault is None
+
+
+class TestShelf:
+    def test_plans_touch_the_shelf_and_reach_into_it(self):
+        """Without the shelf in its plans the policy flies against a board."""
+        scenario = flights.shelf()[4]
+        reached = [
+            Runner(Mppi(rounds=2, target_depth_m=depth_m, clock=Clock(0.0))).fly(scenario).status.state
+            for depth_m in (None, scenario.depth_m)
+        ]
+        assert reached == ["failed", "reached"]
+
+    def test_the_spec_has_the_depth(self):
+        assert Mppi.describe(target_depth_m=0.05, rounds=2).shelf_depth_m == 0.05
+        assert Mppi.describe().shelf_depth_m is None
+        with pytest.raises(PolicyError, match="target_depth_m is inf"):
+            Mppi.describe(target_depth_m=float("inf"))
 
 
 class TestBudget:

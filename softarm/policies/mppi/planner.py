@@ -24,7 +24,7 @@ class Planner:
     def __init__(self, model: Model, rollouts: int, steps: int, period_s: float) -> None:
         from softarm.simulator.simulator import Simulator  # imports numba, which only this policy needs
 
-        self._simulator: Simulator = Simulator(model, robots=rollouts, physics_rate_hz=PHYSICS_HZ)
+        self.simulator: Simulator = Simulator(model, robots=rollouts, physics_rate_hz=PHYSICS_HZ)
         self._rollouts, self._steps, self._period_s = rollouts, steps, period_s
         self._kept = round(KEPT_SHARE * rollouts)
         self.begin(np.zeros(2, dtype=np.float32), seed=0)
@@ -53,9 +53,9 @@ class Planner:
             parts.append(plans.swings(self._random, self._steps, self._fresh, self._period_s))
             self._fresh = 0
         flown = np.concatenate(parts, axis=2)
-        self._simulator.take_over(robot)
+        self.simulator.take_over(robot)
         velocity, pressure = (HALF[i] * flown[i] + CENTRE[i] for i in (0, 1))
-        path = self._simulator.fly(velocity, pressure, self._period_s)
+        path = self.simulator.fly(velocity, pressure, self._period_s)
         costs = cost(path, target_m, self._period_s)
         best = np.argsort(costs, kind="stable")[: self._kept]
         self._plans, self.cost = flown[:, :, best], float(costs[best[0]])

@@ -35,18 +35,18 @@ def variations(random: np.random.Generator, elites: Array, count: int) -> Array:
     """
     steps, kept = elites.shape[1], elites.shape[2]
     parents = (kept * random.random(count, dtype=np.float32) ** 2).astype(np.int64)
-    plans = elites[:, :, parents]
+    plans: Array = elites.take(parents, axis=2)
     crossing = int(CROSSING_SHARE * count)
     if kept > 1:
         one, other = random.integers(0, kept, (2, crossing))
         share = random.uniform(0.0, 0.9, crossing).astype(np.float32)
-        plans[:, :, :crossing] += share * (elites[:, :, one] - elites[:, :, other])
+        plans[:, :, :crossing] += share * (elites.take(one, axis=2) - elites.take(other, axis=2))
     spread = np.exp(random.uniform(np.log(SPREAD_LOW), np.log(SPREAD_HIGH), (2, 1, count))).astype(np.float32)
     spread *= random.random((2, 1, count)) < 0.75  # some change one command alone
     knots = (steps + KNOT_STEPS - 2) // KNOT_STEPS + 2
     heights = random.standard_normal((2, knots, count), dtype=np.float32) * spread
     place = (np.arange(steps) + random.integers(KNOT_STEPS)) / KNOT_STEPS
-    before = place.astype(np.int64)
-    share_after = (place - before).astype(np.float32)[:, None]
-    plans += heights[:, before] * (1.0 - share_after) + heights[:, before + 1] * share_after
-    return np.clip(plans, -1.0, 1.0, out=plans)
+    weights = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(knots))).astype(np.float32)
+    plans += weights @ heights
+    np.clip(plans, -1.0, 1.0, out=plans)
+    return plans

@@ -3,13 +3,16 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.plugins import Option
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.policies.mppi.estimator import Estimator
 from softarm.policies.mppi.planner import Planner
+from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.policy import OBSERVATION, REACH_GOAL, places
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
@@ -29,6 +32,7 @@ class Mppi:
         rollouts: Number of plans per round.
         rounds: Most rounds per tick.
         budget_s: Time per tick; no round begins that would end later.
+        target_depth_m: Depth of targets behind the front edge of a shelf, which plans then touch; None: no shelf.
         model: Model file or shipped name.
         clock: Monotonic clock, ns.
 
@@ -41,11 +45,12 @@ class Mppi:
     def __init__(
         self,
         horizon_s: float = 1.3,
-        rollouts: int = 512,
+        rollouts: int = 256,
         rounds: int = 3,
-        budget_s: float = 0.012,
+        budget_s: float = 0.006,
         model: str = "seed",
         seed: int = 0,
+        target_depth_m: float | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         given = {"horizon_s": horizon_s, "rollouts": rollouts, "rounds": rounds, "budget_s": budget_s}
@@ -61,8 +66,17 @@ class Mppi:
             raise PolicyError(f"option model: {error}") from error
         self._estimator = Estimator(loaded, CONTROL_PERIOD_S)
         self._planner = Planner(loaded, rollouts, round(horizon_s / CONTROL_PERIOD_S), CONTROL_PERIOD_S)
+        self.target_depth_m = target_depth_m
+        self.spec = self.describe(target_depth_m=target_depth_m)
         self._rounds, self._budget_ns, self._seed, self._clock = rounds, round(budget_s * 1e9), seed, clock
         self._warm_up(loaded.arm.base_height_m - sum(loaded.arm.link_length_m))
+
+    @classmethod
+    def describe(cls, target_depth_m: float | None = None, **_: Option) -> PolicySpec:
+        """Return the spec with these options; Raises PolicyError for a depth that is NaN or infinite."""
+        if target_depth_m is not None and not math.isfinite(target_depth_m):
+            raise PolicyError(f"option target_depth_m is {target_depth_m}; give metres behind the shelf's front edge")
+        return replace(cls.spec, shelf_depth_m=target_depth_m)
 
     def _warm_up(self, hanging_z_m: float) -> None:
         """Compile, fill the caches and measure the duration of a round."""
@@ -88,6 +102,9 @@ class Mppi:
         for name, value in zip(_GIVEN, (*observation, *goal), strict=True):
             if not math.isfinite(value):
                 raise ValueError(f"{name} is {value}: planning needs a finite number")
+        if self.target_depth_m is not None:
+            for simulator in (self._estimator.simulator, self._planner.simulator):
+                simulator.place_shelf(goal[0] + self.target_depth_m, goal[1] - BOARD_BELOW_M)
         self._estimate(observation.astype(np.float64))
         self.rounds_flown = 0
         now_ns = self._clock()
