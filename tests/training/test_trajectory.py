@@ -7,7 +7,7 @@ from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory import ceiling, planner, problem, rows
+from softarm.training.trajectory import ceiling, needs, planner, problem, rows
 from softarm.training.trajectory.guesses import library, nearest, random_knots
 from softarm.training.trajectory.optimiser import OUTER, UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
@@ -163,6 +163,32 @@ def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
     found = ceiling.search(TARGETS, 0.1, seed=1)
     np.testing.assert_array_equal(np.isfinite(found.reached_s), REACHABLE)
     assert 0.1 < found.closest_m[2] < 0.2
+
+
+@pytest.mark.slow
+def test_a_longer_rail_brings_a_missed_target_into_reach(monkeypatch):
+    """(0, 0.75) needs about 0.33 m of rail on each side."""
+    for name, value in {"ROUNDS": 8, "POPULATION": 48, "ELITES": 6}.items():
+        monkeypatch.setattr(ceiling, name, value)
+    monkeypatch.setattr(needs, "LEVELS", 1)
+    monkeypatch.setattr(needs, "QUANTITIES", {name: needs.QUANTITIES[name] for name in ("rail half-length",)})
+    (need,) = needs.of_missed(np.array([[-0.2, 0.6], [0.0, 0.75]], dtype=np.float32), seed=1)
+    np.testing.assert_allclose(need.target_m, [0.0, 0.75])
+    assert need.values == {"rail half-length": pytest.approx(0.41)}
+    assert min(need.closest_m, need.closest_without_law_m) > 0.04
+
+
+def test_bisection_halves_the_range_of_each_target_and_shares_searches():
+    needed, searched = (1.3, 1.9, 5.0), []
+
+    def reached(value, which):
+        searched.append((value, which))
+        return [value >= needed[i] for i in which]
+
+    found = needs.bisected(1.0, 2.0, len(needed), reached)
+    assert found == [pytest.approx(1.3, abs=1 / 32), pytest.approx(1.9, abs=1 / 32), None]
+    assert all(value >= needed[i] for i, value in enumerate(found[:2]))
+    assert searched[:2] == [(2.0, [0, 1, 2]), (1.5, [0, 1])]
 
 
 def test_rows_of_plans_and_of_searches_have_the_same_fields(report, monkeypatch):

@@ -1,4 +1,4 @@
-"""`softarm dev plan`: optimise trajectories for the policy `trajectory`, or search which targets can be reached."""
+"""`softarm dev plan`: optimise trajectories for the policy `trajectory`, or search what can be reached, and by what."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,8 @@ from softarm.cli.shared.printing import print_table, print_text
 from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
+    from softarm.schemas.model import Model
+    from softarm.training.trajectory.problem import Array
     from softarm.training.trajectory.rows import Row
 
 OUT = Path("runs/trajectories.npz")
@@ -33,6 +35,7 @@ LISTED = 12  # so many plans are shown one by one
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first guesses.")
 @click.option("--out", type=FILE, default=OUT, show_default=True, help="The file of plans to write.")
 @click.option("--ceiling", is_flag=True, help="Only search which targets can be reached; write no plans.")
+@click.option("--needs", is_flag=True, help="Only search what would bring the missed targets into reach.")
 @json_option
 def plan(
     targets: tuple[tuple[float, float], ...],
@@ -41,6 +44,7 @@ def plan(
     seed: int,
     out: Path,
     ceiling: bool,
+    needs: bool,
     json_file: Path | None,
 ) -> None:
     """Optimise commands that swing the tip onto targets (the paper's upper bound) and write them to a file.
@@ -53,6 +57,7 @@ def plan(
       softarm dev plan
       softarm dev plan --target -0.2 0.7 --start 0
       softarm dev plan --ceiling
+      softarm dev plan --needs
     """
     import time
 
@@ -66,6 +71,9 @@ def plan(
     leaves(NOTHING)
     model = load_model(model_file) if model_file else None
     aims = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
+    if needs:
+        _show_needs(aims, model, seed, json_file)
+        return
     wall, cpu = time.perf_counter(), time.process_time()
     if ceiling:
         with bar("searching", ROUNDS * len(starts)) as shown:
@@ -108,3 +116,24 @@ def _show(found: "list[Row]") -> None:
     print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), lines)
     if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
         print_text("missed from at least one start: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))
+
+
+def _show_needs(targets_m: "Array", model: "Model | None", seed: int, json_file: Path | None) -> None:
+    """Print and write the smallest change of each quantity that reaches each missed target."""
+    from softarm.common.processes import bar
+    from softarm.training.trajectory.needs import QUANTITIES, of_missed
+
+    with bar("searching", None) as shown:
+        found = of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing))
+    lines = [("nearest today (m)", *(f"{need.closest_m:.3f}" for need in found))]
+    for name, each in QUANTITIES.items():
+        needed = (_needed(need.values[name], each.most) for need in found)
+        lines.append((f"{name} ({each.unit}), now {each.now:g}", *needed))
+    lines.append(("nearest without braking law (m)", *(f"{need.closest_without_law_m:.3f}" for need in found)))
+    print_table(("needed for y, z (m)", *(f"{y:.2f}, {z:.2f}" for y, z in (need.target_m for need in found))), lines)
+    rows = [need._asdict() | {"target_m": [round(float(each), 6) for each in need.target_m]} for need in found]
+    write_json(json_file, {"rows": rows, "quantities": {name: each[:3] for name, each in QUANTITIES.items()}})
+
+
+def _needed(value: float | None, most: float) -> str:
+    return f"not by {most:g}" if value is None else f"{value:.3g}"

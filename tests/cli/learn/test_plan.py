@@ -1,10 +1,12 @@
 """Tests of `softarm dev plan`."""
 
+import json
+
 import numpy as np
 import pytest
 
 from softarm.policies.plans import Plans
-from softarm.training.trajectory import ceiling
+from softarm.training.trajectory import ceiling, needs
 from tests.cli.invoke import invoke
 
 
@@ -36,3 +38,15 @@ def test_the_ceiling_of_all_targets_is_printed_by_height(monkeypatch, tmp_path):
     for words in ("z <= 0.70 m", "z > 0.70 m", "54 searched in", "missed from at least one start: ("):
         assert words in result.output
     assert list(tmp_path.iterdir()) == []  # a search writes no plans
+
+
+def test_needs_prints_and_writes_what_reaches_a_missed_target(monkeypatch, tmp_path):
+    values = dict.fromkeys(needs.QUANTITIES) | {"rail half-length": 0.33}
+    need = needs.Need(np.float32([0.0, 0.75]), 0.1, values, 0.09)
+    monkeypatch.setattr(needs, "of_missed", lambda *_: [need])
+    results = tmp_path / "needs.json"
+    result = invoke("dev", "plan", "--needs", "--json", str(results))
+    assert result.exit_code == 0, result.output
+    for words in ("0.00, 0.75", "rail half-length (m), now 0.25", "0.33", "not by 36"):
+        assert words in result.output
+    assert json.loads(results.read_text())["rows"][0]["values"] == values
