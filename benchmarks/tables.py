@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from benchmarks import diagnosis_tables
+from benchmarks import diagnosis_tables, planning_tables
 from benchmarks.markdown import Read, markdown
 from softarm.evaluation.entries import CEILING
 from softarm.evaluation.table import HARDWARE
@@ -420,4 +420,5 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "limits": rail_limits,
     "simulator": simulator,
     **diagnosis_tables.TABLES,
+    **planning_tables.TABLES,
 }
