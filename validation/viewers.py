@@ -6,12 +6,14 @@ own log, tick by tick; a bare loop next to them shows the machine's share. All t
 are the cost of the viewers.
 
     python -m validation.viewers --json FILE
+    python -m validation.viewers --diagnose LOG    with a diagnosis as a job of the daemon, next to the viewers
 """
 
 import asyncio
 import contextlib
 import json
 import multiprocessing
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -35,10 +37,13 @@ from validation.daemon_process import SimulatedDaemon
 
 READY_S = 60.0
 RECENT_EVERY_S = 5.0
+DIAGNOSED = "diagnosed.mcap"
 
 
-def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None]) -> dict[str, Any]:
-    """Measure `turns` turns of `seconds` each way and return the figures.
+def run(
+    seconds: float, turns: int, viewers: int, report: Callable[[float], None], diagnosed: Path | None = None
+) -> dict[str, Any]:
+    """Measure `turns` turns of `seconds` each way and return the figures; the daemon diagnoses a log next to viewers.
 
     Raises SoftwareInTheLoopError if the daemon did not start or refused a goal, or a viewer failed.
     """
@@ -53,10 +58,15 @@ def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None
         assert daemon.daemon is not None
         pids = [daemon.daemon.pid]
         log = daemon.status()["recorder"]["log"]
+        if diagnosed is not None:
+            shutil.copy(diagnosed, Path(log).with_name(DIAGNOSED))
         daemon.arm()
         for number in range(2 * turns):
             part = "viewed" if number % 2 else "alone"
-            with _watched(daemon, viewers, seconds) if number % 2 else contextlib.nullcontext() as came:
+            with (
+                _watched(daemon, viewers, seconds) if number % 2 else contextlib.nullcontext() as came,
+                _job(daemon.url) if number % 2 and diagnosed is not None else contextlib.nullcontext(),
+            ):
                 before_s = usage.of(pids).cpu_s
                 windows[part].append(swing(daemon, seconds, lambda _: None))
                 cpu_s[part] += usage.of(pids).cpu_s - before_s
@@ -87,6 +97,18 @@ def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float) -> Iterato
             raise SoftwareInTheLoopError(f"the viewers received no data within {READY_S:g} s")
         ours.recv()
         yield ours
+
+
+@contextlib.contextmanager
+def _job(url: str) -> Iterator[None]:
+    """Diagnose the log as a job of the daemon while the context lasts."""
+    with httpx.Client(base_url=url, timeout=30.0) as client:
+        started = client.post("/api/jobs", json={"kind": "diagnose", "logs": [DIAGNOSED]}).raise_for_status()
+        number = started.json()["number"]
+        yield
+        client.delete(f"/api/jobs/{number}").raise_for_status()
+        while client.get("/api/jobs").json()["jobs"][0]["state"] == "running":
+            time.sleep(0.05)
 
 
 async def _watching(url: str, viewers: int, seconds: float, way: Connection) -> None:
@@ -138,8 +160,9 @@ def _ratios(found: dict[str, Any]) -> dict[str, float]:
 )
 @click.option("--turns", default=3, show_default=True, type=click.IntRange(1, 1000), help="Number of turns each way.")
 @click.option("--viewers", default=10, show_default=True, type=click.IntRange(1, 32), help="Number of viewers.")
+@click.option("--diagnose", "diagnosed", type=results.FILE, help="Log that the daemon diagnoses next to the viewers.")
 @results.json_option
-def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> None:
+def main(seconds: float, turns: int, viewers: int, diagnosed: Path | None, json_file: Path | None) -> None:
     """Measure the punctuality of the control loop with and without viewers.
 
     \b
@@ -147,7 +170,7 @@ def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> No
       python -m validation.viewers --seconds 20 --turns 3 --json viewers.json
     """
     with failing(SoftwareInTheLoopError), bar("flying") as shown:
-        result = run(seconds, turns, viewers, shown.show)
+        result = run(seconds, turns, viewers, shown.show, diagnosed)
     results.report("viewers", result, json_file)
 
 
