@@ -14,6 +14,8 @@ from softarm.evaluation.leaderboard import Board, Row
 from softarm.evaluation.table import Score
 from softarm.policies.onnx_policy import MODELS
 
+STORED = Path(__file__).parents[2] / "benchmarks" / "leaderboard.json"
+
 
 def run(*arguments):
     return CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
@@ -73,3 +75,11 @@ def test_results_that_cannot_be_compared_are_refused(reached, tmp_path, monkeypa
     outcome = run("pid", "--leaderboard", "board.json", *arguments)
     assert outcome.exit_code in (1, 2)
     assert words in outcome.output
+
+
+@pytest.mark.slow
+def test_a_stored_entry_is_reproduced(tmp_path):
+    copy = tmp_path / "board.json"
+    shutil.copy(STORED, copy)
+    outcome = run("pid", "--leaderboard", copy, "--workers", 1)
+    assert (outcome.exit_code, "pid: reproduced" in outcome.output) == (0, True), outcome.output
