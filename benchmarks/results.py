@@ -57,6 +57,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "all": (*_FLIGHTS, "softarm/reality"),
     "blind": (*_DIAGNOSIS, "softarm/reality"),
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
+    "card": (*_TRAINING, "softarm/common/braking.py", "benchmarks/card.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": (*_DIAGNOSIS, "softarm/reality"),
@@ -108,10 +109,10 @@ def write(file: Path | None, figures: Mapping[str, Any], command: str | None = N
 
 def report(table: str, figures: Mapping[str, Any], file: Path | None) -> None:
     """Print figures as a table of benchmarks/tables.py that needs no other result, and write them as `write` does."""
+    write(file, figures)
     # Imports most of softarm, which the program of the mutants must not.
     from benchmarks.tables import TABLES
 
-    write(file, figures)
     click.echo(TABLES[table](lambda _: figures))
 
 

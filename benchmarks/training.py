@@ -42,11 +42,11 @@ def level_held(points: Sequence[Point]) -> Point | None:
     return next((points[k] for k in range(len(points) - HELD) if all(reached[k : k + HELD + 1])), None)
 
 
-def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point]:
+def follow(seed: int, out: Path, pool: Executor, frames_most: int, settings: dict[str, Any]) -> list[Point]:
     """Train until the level is held or `frames_most` is reached; return one point per validation, at least one."""
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
-    session = begin(RECIPES["reach"], seed, out, pool, resume=False)
+    session = begin(RECIPES["reach"].changed(None, settings), seed, out, pool, resume=False)
     while not points or (session.frames < frames_most and level_held(points) is None):
         session.advance()
         if len(session.curve) % session.config.validate_every:
@@ -60,7 +60,9 @@ def follow(seed: int, out: Path, pool: Executor, frames_most: int) -> list[Point
     return points
 
 
-def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None]) -> dict[str, Any]:
+def run(
+    seeds: tuple[int, ...], frames_most: int, settings: dict[str, Any], report: Callable[[str], None]
+) -> dict[str, Any]:
     """Measure all seeds and return the figures; the lists have one entry per seed.
 
     A time is None if the level was not reached within `frames_most`. A curve has seconds, frames and the three shares.
@@ -69,7 +71,7 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
     curves = []
     with workers() as pool, TemporaryDirectory() as folder:
         for seed in seeds:
-            points = follow(seed, Path(folder) / str(seed), pool, frames_most)
+            points = follow(seed, Path(folder) / str(seed), pool, frames_most, settings)
             held = level_held(points)
             there.append(held)
             curves.append([(point.seconds, point.frames, *point.report) for point in points])
@@ -86,14 +88,18 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
 @results.json_option
 @click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="May be repeated.  [default: 1 to 5]")
 @click.option("--frames", type=click.IntRange(min=1), help="End a seed after this many control steps and a validation.")
-def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> None:
+@click.option("--device", help="cpu, or cuda for a graphics card.  [default: cpu]")
+@click.option("--robots", type=click.IntRange(min=1), help="Robots at once.  [default: 2048]")
+def main(
+    json_file: Path | None, seeds: tuple[int, ...], frames: int | None, device: str | None, robots: int | None
+) -> None:
     """Measure the time to the paper's 94/50/80 %, held over three more validations.
 
     \b
     Example:
       python -m benchmarks.training --json training.json
     """
-    result = run(seeds or SEEDS, frames or FRAMES_MOST, click.echo)
+    result = run(seeds or SEEDS, frames or FRAMES_MOST, {"run.device": device, "run.robots": robots}, click.echo)
     results.report("time-to-level", result, json_file)
     click.echo(f"control steps of single robots per second: {result['steps_per_s']:,.0f}")
 

@@ -9,8 +9,8 @@ with the speed by which the arm drags the cart beyond it: the observed one, and 
 behaves better gets farther, since of two carts at one position the faster one stays ahead. Less information means less
 speed.
 
-Only arithmetic on numbers, +y towards the upper end of the rail. A number is a float or an array [R]; the same code
-serves both, so policies train with the law they fly with.
+Only arithmetic on numbers, +y towards the upper end of the rail. A number is a float, an array [R], or the symbol of a
+traced computation (training/task/traced.py); the same code serves all, so policies train with the law they fly with.
 """
 
 import math
@@ -186,8 +186,11 @@ def _fits(law: BrakingLaw, command: Number, course: _Course[Number]) -> Any:
 def _highest(law: BrakingLaw, wanted: Number, course: _Course[Number]) -> Number:
     """Return the highest command, up to the requested one, that fits."""
     fits = _fits(law, wanted, course)
-    if not isinstance(wanted, np.ndarray):
+    if _is_number(wanted):
         return wanted if fits else _search(law, wanted, course)
+    if not isinstance(wanted, np.ndarray):
+        traced: Number = _choose(fits, wanted, _search(law, wanted, course))
+        return traced
     highest = wanted.copy()
     if (tight := np.flatnonzero(~fits)).size:  # most carts of a batch are far from the ends
         highest[tight] = _search(law, wanted[tight], _of(course, tight))
@@ -196,8 +199,10 @@ def _highest(law: BrakingLaw, wanted: Number, course: _Course[Number]) -> Number
 
 def _too_high(law: BrakingLaw, command: Any, asked: Any, course: _Course[Any]) -> Any:
     """Return where a check is requested and the command does not fit."""
-    if not isinstance(asked, np.ndarray):
+    if _is_number(command):
         return asked and not _fits(law, command, course)
+    if not isinstance(asked, np.ndarray):
+        return asked & ~_fits(law, command, course)
     if (rows := np.flatnonzero(asked)).size:
         asked[rows] = ~_fits(law, command[rows], _of(course, rows))
     return asked
@@ -260,9 +265,11 @@ def _ramp(law: BrakingLaw, position: Number, velocity: Number, target: Number, t
 
 def _higher(one: Any, other: Any) -> Any:
     """Return the higher of two numbers."""
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return np.maximum(one, other)
-    return max(one, other)
+    return max(one, other) if _is_number(one) and _is_number(other) else np.maximum(one, other)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float | int | np.generic)
 
 
 def _choose(condition: Any, one: Any, other: Any) -> Any:

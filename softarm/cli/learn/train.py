@@ -23,7 +23,7 @@ SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluate
 @click.option(
     "--robots", type=click.IntRange(min=8), help="Simulated in parallel.  [default: the recipe's, 1024 or 2048]"
 )
-@click.option("--device", help="Device of the network: cpu, or cuda for a graphics card.  [default: cpu]")
+@click.option("--device", help="Device of the training: cpu, or cuda for an NVIDIA card.  [default: cpu]")
 @model_option
 @click.option("--out", type=FOLDER, help="Folder of all results.  [default: runs/TASK-SEED or runs/TASK-MODEL-SEED]")
 @click.option("--resume", is_flag=True, help="Continue from the folder's last checkpoint.")

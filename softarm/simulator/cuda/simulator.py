@@ -10,7 +10,7 @@ from torch import Tensor
 from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import kernel
-from softarm.simulator.cuda.stepper import LANES, stepper
+from softarm.simulator.cuda.stepper import LANES, kernels, launch, numba_cuda, restart_on_cpu
 from softarm.simulator.simulator import Simulator
 
 
@@ -59,8 +59,9 @@ class TensorSimulator:
         spread = torch.arange(blocks * LANES, device=self.device) % self.variants
         self._rows = self._table[:, spread].view(-1, blocks, LANES).transpose(0, 1).contiguous()
         self._memory = self._rows.view(blocks, -1)
-        on_card = self.device.type == "cuda"
-        self._step = stepper(self._memory, robots, self.links, self.active) if on_card else None
+        self._kernels = kernels(self.links, self.active) if self.device.type == "cuda" else None
+        # The conversion takes longer than a step.
+        self._array = numba_cuda().as_cuda_array(self._memory) if self._kernels else None
         self.reset(torch.ones(robots, dtype=torch.bool, device=self.device))
 
     def reset(
@@ -80,24 +81,19 @@ class TensorSimulator:
             pressure_kpa: [R]; None: 0.
             variant: numbers of the variants that the robots become, int64 [R]; None: as before.
         """
-        at, rows, which = self._at, self._rows, self._full(robots).unsqueeze(1)
-        if variant is not None:
-            chosen = self._full(variant).view(-1)
-            for part in (slice(0, at.shelf_y), slice(at.keep_inflate, at.drive_given)):
-                fresh = self._table[part][:, chosen].view(-1, *which.shape[::2]).transpose(0, 1)
-                rows[:, part] = torch.where(which, fresh, rows[:, part])
-        rows[:, at.q : at.cart_command].masked_fill_(which, 0.0)
-        if cart_position_m is not None:
-            rows[:, at.q] += which[:, 0] * self._full(cart_position_m)
-        if joint_angles_rad is not None:
-            angles = self._full(joint_angles_rad.cumsum(1)).transpose(1, 2)
-            rows[:, at.q + 1 : at.v] += which * angles
-        if pressure_kpa is not None:
-            pressure = which * self._full(pressure_kpa).unsqueeze(1)
-            rows[:, at.pressure : at.pressure + 1] += pressure
-            rows[:, at.pressure_history : at.pressure_age] += pressure
-            rows[:, at.pressure_acting : at.pressure_acting + 1] += pressure
-        self._locate()
+        size = (self.robots,)
+        zero = torch.zeros(size, device=self.device)
+        first = [(zero if each is None else each).unsqueeze(1) for each in (cart_position_m, pressure_kpa)]
+        angles = zero.unsqueeze(1).expand(-1, self.links) if joint_angles_rad is None else joint_angles_rad
+        start = torch.cat((*first, angles), dim=1)
+        if variant is None:
+            variant = torch.full(size, -1, device=self.device)
+        if self._kernels is not None:
+            launch(self._kernels[1], self.robots, self._memory, self._table, robots, start, variant)
+            return
+        rest = [each.numpy() for each in (self._table, robots, start, variant)]
+        restart_on_cpu(self._memory.numpy(), self._lengths[0], *rest)
+        kernel.locate(self._memory.numpy(), *self._lengths)
 
     def step(self, cart_velocity_m_s: Tensor, pressure_kpa: Tensor) -> None:
         """Issue a command now and hold it for a step; tensors [R]."""
@@ -107,8 +103,9 @@ class TensorSimulator:
 
     def advance(self) -> None:
         """Advance every robot by a step under its last command."""
-        if self._step is not None:
-            self._step(self._substeps, self._substep_s)
+        if self._kernels is not None:
+            dt = np.float32(self._substep_s)
+            launch(self._kernels[0], self.robots, self._array, self.robots, self._substeps, dt)
             return
         memory, (links, lanes) = self._memory.numpy(), self._lengths
         parts = (0,) if self.active else ()
@@ -131,12 +128,10 @@ class TensorSimulator:
         """Return the true pressure of the muscles, [R]."""
         return self._row(self._at.pressure)
 
-    @property
     def tip_m(self) -> Tensor:
         """Return y, z of the tip, [R, 2]."""
         return torch.stack((self._row(self._at.end_z - 1), self._row(self._at.end_vy - 1)), dim=1)
 
-    @property
     def tip_velocity_m_s(self) -> Tensor:
         """Return the true velocity of the tip along y, z, [R, 2]."""
         return torch.stack((self._row(self._at.end_vz - 1), self._row(self._at.end_vz + self.links - 1)), dim=1)
@@ -149,23 +144,10 @@ class TensorSimulator:
         """Restore a snapshot of a simulator made with the same arguments."""
         self._memory.copy_(snapshot)
 
-    def _locate(self) -> None:
-        """Set the links' positions and velocities after a reset."""
-        at, rows = self._at, self._rows
-        angles, rates = rows[:, at.q + 1 : at.v], rows[:, at.v + 1 : at.a]
-        length = rows[:, at.length : at.moment]
-        across, along = length * angles.sin(), length * angles.cos()
-        rows[:, at.end_y : at.end_z] = rows[:, at.q : at.q + 1] + across.cumsum(1)
-        rows[:, at.end_z : at.end_vy] = rows[:, at.base_height : at.base_height + 1] - along.cumsum(1)
-        rows[:, at.end_vy : at.end_vz] = rows[:, at.v : at.v + 1] + (along * rates).cumsum(1)
-        rows[:, at.end_vz : at.end_vz + self.links] = (across * rates).cumsum(1)
-
     def _row(self, row: int) -> Tensor:
         return self._rows[:, row].reshape(-1)[: self.robots]
 
     def _full(self, values: Tensor) -> Tensor:
-        """Return values [R, ...] as [blocks, LANES, ...]; lanes without a robot have zeros."""
+        """Return values [R] as [blocks, LANES]; lanes without a robot have zeros."""
         spare = len(self._rows) * LANES - self.robots
-        if spare:
-            values = torch.cat((values, values.new_zeros((spare, *values.shape[1:]))))
-        return values.view(-1, LANES, *values.shape[1:])
+        return torch.nn.functional.pad(values, (0, spare)).view(-1, LANES)

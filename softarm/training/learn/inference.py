@@ -32,17 +32,14 @@ def workers(count: int | None = None) -> Iterator[Executor]:
 
 
 def device_named(name: str) -> torch.device:
-    """Return the device of a network. Raises ValueError if it is unknown or not available here."""
+    """Return the device of a training. Raises ValueError if it is unknown or not available here."""
     if name not in DEVICES:
         raise ValueError(f"run.device is {name!r}; give one of {', '.join(DEVICES)}")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError(f"run.device is 'cuda', and torch {torch.__version__} sees no such card here; give cpu")
+    # TF32: ten bits of a factor, and sums in float32.
+    torch.backends.cuda.matmul.allow_tf32 = name == "cuda"
     return torch.device(name)
-
-
-def share_of(count: int, most: int, device: torch.device) -> int:
-    """Return the size of a chunk of `count`: at most `most` on a thread, all on a graphics card."""
-    return most if device.type == "cpu" else count
 
 
 def actor(
@@ -75,19 +72,24 @@ def infer(
     Returns the action's mean [R, actions], the value in the reward's unit [R] and the next state.
     """
     count, size, device = observation.shape[0], state[0].shape[1], state[0].device
-    means, values = torch.empty(count, network.shape.actions, device=device), torch.empty(count, device=device)
-    hidden, cell = torch.empty(count, size, device=device), torch.empty(count, size, device=device)
-    chunk = share_of(count, CHUNK, device)
 
     # Gradients are disabled per thread, so the caller cannot do it for the pool.
     @torch.no_grad()
-    def part(robots: slice) -> None:
-        mean, value, (hidden[robots], cell[robots]) = network(
+    def part(robots: slice) -> tuple[Tensor, Tensor, RecurrentState]:
+        mean, value, after = network(
             observation[None, robots], keep[None, robots], (state[0][robots], state[1][robots]), dtype
         )
-        means[robots] = mean[0]
-        values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
+        return mean[0], network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1), after
+
+    if device.type != "cpu":
+        whole: tuple[Tensor, Tensor, RecurrentState] = part(slice(None))
+        return whole
+    means, values = torch.empty(count, network.shape.actions), torch.empty(count)
+    hidden, cell = torch.empty(count, size), torch.empty(count, size)
+
+    def write(robots: slice) -> None:
+        means[robots], values[robots], (hidden[robots], cell[robots]) = part(robots)
 
     # The list waits for all chunks and passes on an error of one.
-    list(pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)]))
+    list(pool.map(write, [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]))
     return means, values, (hidden, cell)

@@ -20,6 +20,9 @@ from torch.autograd.function import once_differentiable
 
 from softarm.training.learn import cell as cells
 
+# Of a graphics card: gates of the input and of the hidden state, and the cell, to both states and a work space.
+fused_cell = torch.ops.aten._thnn_fused_lstm_cell
+
 
 def _bits(tensor: Tensor) -> NDArray[Any]:
     """Return the same memory for numba, which has no bfloat16."""
@@ -115,11 +118,12 @@ def sequence(
 def _step_by_step(
     x: Tensor, keep: Tensor, state: tuple[Tensor, Tensor], w_x: Tensor, w_h: Tensor, bias: Tensor
 ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """Run `sequence` with torch's cell and gradients, on any device."""
+    """Run `sequence` with torch's cell for a graphics card, and its gradients."""
     hidden, cell = state
-    rows, none = [], torch.zeros_like(bias)
-    for t in range(x.shape[0]):
-        kept = keep[t].unsqueeze(1)
-        hidden, cell = torch.lstm_cell(x[t], (hidden * kept, cell * kept), w_x, w_h, bias, none)
+    # One product for all steps; views by `unbind` have one gradient, not one a step.
+    given = torch.nn.functional.linear(x, w_x, bias).unbind(0)
+    rows = []
+    for gates, kept in zip(given, keep.unsqueeze(2).unbind(0), strict=True):
+        hidden, cell, _ = fused_cell(gates, (hidden * kept) @ w_h.t(), cell * kept)
         rows.append(hidden)
     return torch.stack(rows), (hidden.detach(), cell.detach())

@@ -4,8 +4,8 @@ In an iteration every robot takes `horizon` steps. Advantages come from GAE. The
 mini-batches of whole sequences, with one gradient step each. The learning rate follows the KL divergence.
 
 Threads compute a mini-batch in micro-batches of fixed size, and the gradients are summed in a fixed order: any number
-of threads gives the same result, bit for bit. A graphics card computes a whole mini-batch at once; the robots and all
-random numbers stay on the CPU.
+of threads gives the same result, bit for bit. A graphics card also has the robots and the random numbers, computes a
+whole mini-batch at once, and replays an iteration as a CUDA graph.
 """
 
 import math
@@ -17,11 +17,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from softarm.training.learn.inference import infer, share_of
+from softarm.training.learn.inference import infer
 from softarm.training.learn.network import PolicyNetwork, RecurrentState
 from softarm.training.task.environment import Environment
+from softarm.training.task.tensor_environment import TensorEnvironment
 
 MICRO_SEQUENCES = 128
+# Iterations before a graph is captured: they allocate what a capture must find.
+EAGER_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,7 @@ class Ppo:
     def __init__(
         self,
         network: PolicyNetwork,
-        environment: Environment,
+        environment: Environment | TensorEnvironment,
         config: PpoConfig,
         pool: Executor,
         seed: int,
@@ -171,53 +174,101 @@ class Ppo:
                 f"give a multiple of {config.minibatches}"
             )
         self.network, self.environment, self.config = network, environment, config
-        self.optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
+        self._device = network.device
+        self._on_card = self._device.type == "cuda"
+        rate = self._rate(config.learning_rate)
+        self.optimiser = torch.optim.Adam(network.parameters(), lr=rate, capturable=self._on_card)
         self.learning_rate = config.learning_rate
         self._pool, self._dtype = pool, dtype
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generator = torch.Generator(self._device).manual_seed(seed)
         self._parameters = list(network.parameters())
-        self._device = network.device
-        self._observation = self._there(environment.reset())
+        self._observation = torch.as_tensor(environment.reset())
         environment.stagger()
         self._keep = torch.zeros(environment.robots, device=self._device)
         self._state = network.initial_state(environment.robots)
+        self._iterations = 0
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._figures: Tensor | None = None
 
     def iterate(self, critic_only: bool = False) -> Statistics:
         """Collect one roll-out and learn from it; with `critic_only` only the value head learns."""
         if self.network.observation_normaliser.count == 0:
-            self.network.observation_normaliser.update(self._collect()[0].observation)
-        rollout, success = self._collect()
-        statistics = self._learn(rollout, critic_only)
+            rollout, carried, _ = self._collect()
+            self._carry(*carried)
+            self.network.observation_normaliser.update(rollout.observation)
+        self._set_rate()
+        figures = self._replay() if self._on_card and not critic_only else self._iteration(critic_only)
+        reward, ended, reached, kl, value_loss, std = figures.tolist()
+        used = self.learning_rate
+        if not critic_only:
+            self.learning_rate = adapted_rate(used, kl, self.config)
+        return Statistics(reward, reached / ended if ended else math.nan, kl, used, std, value_loss)
+
+    def _iteration(self, critic_only: bool = False) -> Tensor:
+        """Run an iteration without waiting for the device; return its figures."""
+        rollout, carried, counts = self._collect()
+        kl, value_loss = self._learn(rollout, critic_only)
         # After learning, so that learning uses the same normalisation as acting.
         self.network.observation_normaliser.update(rollout.observation)
-        return statistics._replace(success=success)
+        self._carry(*carried)
+        std = self.network.log_std.detach().exp().mean()
+        return torch.stack((rollout.reward.mean(), *counts, kl, value_loss, std)).double()
 
-    def _collect(self) -> tuple[Rollout, float]:
-        network, first_state = self.network, self._state
+    def _replay(self) -> Tensor:
+        """Run an iteration on a graphics card; after the first ones as a graph."""
+        self._iterations += 1
+        if self._iterations <= EAGER_ITERATIONS:
+            # Captures demand a stream of their own, and gradients the stream of their first use.
+            stream = torch.cuda.Stream()
+            stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(stream):
+                figures = self._iteration()
+            torch.cuda.current_stream().wait_stream(stream)
+            return figures
+        if self._graph is None:
+            self._graph = torch.cuda.CUDAGraph()
+            for generator in (self._generator, self.environment.generator):  # type: ignore[union-attr]
+                self._graph.register_generator_state(generator)
+            with torch.cuda.graph(self._graph):
+                self._figures = self._iteration()
+        self._graph.replay()
+        assert self._figures is not None, "the capture sets the figures"
+        return self._figures
+
+    def _collect(self) -> tuple[Rollout, tuple[Tensor, Tensor, RecurrentState], tuple[Tensor, Tensor]]:
+        """Return a roll-out, the observation, `keep` and state after it, and the numbers of ended and reached goals."""
+        network, environment = self.network, self.environment
+        observation, keep, state = self._observation, self._keep, self._state
         std = network.log_std.detach().exp()
         rows: list[tuple[Tensor, ...]] = []
-        cut: list[tuple[Tensor, Tensor]] = []  # robots with a time-out, and the value of their last state
-        ended = reached = 0
+        ends: list[tuple[Tensor, ...]] = []  # values of the last observations; on a card their inputs
+        ended = reached = torch.zeros((), device=self._device)
         for _ in range(self.config.horizon):
-            mean, value, state = self._infer(self._observation, self._keep, self._state)
+            mean, value, after = self._infer(observation, keep, state)
             action = mean + std * self._normal(mean.shape)
-            step = self.environment.step(action.cpu().numpy())
-            over = step.terminated | step.truncated
-            done = self._there(over)
-            cut.append(self._values_of(step.truncated, step.final_observation, state))
-            reward, terminated = self._there(step.reward), self._there(step.terminated)
-            rows.append((self._observation, self._keep, action, mean, value, reward, terminated, done.float()))
-            seen = self._noisy(self._there(step.observation))
-            self._observation, self._keep, self._state = seen, 1.0 - done.float(), state
-            ended, reached = ended + int(over.sum()), reached + int(step.success.sum())
-        observation, keep, action, mean, value, reward, terminated, done = map(torch.stack, zip(*rows, strict=True))
-        _, last_value, _ = self._infer(self._observation, self._keep, self._state)
-        following = torch.cat((value[1:], last_value[None]))
-        for t, (robots, values) in enumerate(cut):
-            following[t, robots] = values
-        following[terminated] = 0.0
-        rollout = Rollout(observation, keep, first_state, action, mean, value, reward, following, done)
-        return rollout, reached / ended if ended else math.nan
+            step = environment.step(action if isinstance(environment, TensorEnvironment) else action.numpy())
+            seen, reward, terminated, truncated, success, final, _ = map(torch.as_tensor, step)
+            done = (terminated | truncated).float()
+            rows.append((observation, keep, action, mean, value, reward, terminated, done, truncated))
+            ends.append((final, *after) if self._on_card else (self._values_of(truncated, final, after),))
+            observation, keep, state = self._noisy(seen), 1.0 - done, after
+            ended, reached = ended + done.sum(), reached + success.sum()
+        seen, kept, action, mean, value, reward, terminated, done, truncated = map(torch.stack, zip(*rows, strict=True))
+        cut, *memory = map(torch.stack, zip(*ends, strict=True))
+        if self._on_card:  # choosing the robots would wait for the card
+            final, hidden, cell = (each.flatten(0, 1) for each in (cut, *memory))
+            cut = self._infer(final, torch.ones_like(final[:, 0]), (hidden, cell))[1].view_as(value)
+        _, last_value, _ = self._infer(observation, keep, state)
+        following = torch.where(truncated, cut, torch.cat((value[1:], last_value[None])))
+        following = following.masked_fill(terminated, 0.0)
+        rollout = Rollout(seen, kept, self._state, action, mean, value, reward, following, done)
+        return rollout, (observation, keep, state), (ended, reached)
+
+    def _carry(self, observation: Tensor, keep: Tensor, state: RecurrentState) -> None:
+        """Begin the next roll-out where one ended, in the same memory, which a graph needs."""
+        mine = (self._observation, self._keep, *self._state)
+        for old, new in zip(mine, (observation, keep, *state), strict=True):
+            old.copy_(new)
 
     def _noisy(self, observation: Tensor) -> Tensor:
         """Add the observation noise of a policy that must tolerate noise."""
@@ -229,24 +280,31 @@ class Ppo:
     def _infer(self, observation: Tensor, keep: Tensor, state: RecurrentState) -> tuple[Tensor, Tensor, RecurrentState]:
         return infer(self.network, observation, keep, state, self._pool, self._dtype)
 
-    def _values_of(self, which: Any, observation: Any, state: RecurrentState) -> tuple[Tensor, Tensor]:
-        indices = which.nonzero()[0]
-        robots = self._there(indices)
-        if len(robots) == 0:
-            return robots, torch.empty(0, device=self._device)
-        seen, kept = self._there(observation[indices]), torch.ones(len(robots), device=self._device)
-        _, value, _ = self._infer(seen, kept, (state[0][robots], state[1][robots]))
-        return robots, value
-
-    def _there(self, array: Any) -> Tensor:
-        """Copy an array of the environment to the network's device."""
-        return torch.from_numpy(array).to(self._device)
+    def _values_of(self, which: Tensor, observation: Tensor, state: RecurrentState) -> Tensor:
+        """Return the values of some robots' observations, [R]; the others' are arbitrary."""
+        robots, values = which.nonzero().squeeze(1), torch.zeros(len(which))
+        if len(robots):
+            chosen = (state[0][robots], state[1][robots])
+            values[robots] = self._infer(observation[robots], torch.ones(len(robots)), chosen)[1]
+        return values
 
     def _normal(self, shape: torch.Size) -> Tensor:
-        """Draw normally distributed numbers, the same on every device."""
-        return torch.randn(shape, generator=self._generator).to(self._device)
+        """Draw normally distributed numbers."""
+        return torch.randn(shape, generator=self._generator, device=self._device)
 
-    def _learn(self, rollout: Rollout, critic_only: bool = False) -> Statistics:
+    def _rate(self, rate: float) -> Any:
+        """Return a learning rate for the optimiser; a graph reads it from the card."""
+        return torch.tensor(rate, device=self._device) if self._on_card else rate
+
+    def _set_rate(self) -> None:
+        for group in self.optimiser.param_groups:
+            if self._on_card:
+                group["lr"].fill_(self.learning_rate)
+            else:
+                group["lr"] = self.learning_rate
+
+    def _learn(self, rollout: Rollout, critic_only: bool = False) -> tuple[Tensor, Tensor]:
+        """Learn from a roll-out; return the mean KL divergence and value loss."""
         config, network = self.config, self.network
         parameters = list(network.value_head.parameters()) if critic_only else self._parameters
         advantage = generalised_advantage(
@@ -260,29 +318,28 @@ class Ppo:
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         old_log_std = network.log_std.detach().clone()
         old_log_probability = log_probability(rollout.action, rollout.mean, old_log_std)
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.learning_rate
 
         whole = Batch(rollout, old_log_std, old_log_probability, advantage, old_value, target)
         robots = rollout.reward.shape[1]
         figures = []
         for _ in range(config.mini_epochs):
-            order = torch.randperm(robots, generator=self._generator).to(self._device)
+            # Robots on a card are alike, and their order is part of the graph.
+            order = (
+                torch.arange(robots, device=self._device)
+                if self._on_card
+                else torch.randperm(robots, generator=self._generator)
+            )
             for chosen in order.chunk(config.minibatches):
-                micro = chosen.split(share_of(len(chosen), MICRO_SEQUENCES, self._device))
+                micro = chosen.split(MICRO_SEQUENCES)
                 gradient = partial(self._gradient, batch=whole, parameters=parameters, size=len(chosen))
-                results = list(self._pool.map(gradient, micro))
-                for k, parameter in enumerate(parameters):
-                    parameter.grad = torch.stack([gradients[k] for gradients, _ in results]).sum(0)
+                results = [gradient(chosen)] if self._on_card else list(self._pool.map(gradient, micro))
+                for parameter, *gradients in zip(parameters, *(each for each, _ in results), strict=True):
+                    parameter.grad = torch.stack(gradients).sum(0) if len(gradients) > 1 else gradients[0]
                 torch.nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
                 self.optimiser.step()
                 figures.append(torch.stack([figure for _, figure in results]).sum(0))
-        kl, value_loss = torch.stack(figures).mean(0).tolist()
-        used = self.learning_rate
-        if not critic_only:
-            self.learning_rate = adapted_rate(used, kl, config)
-        std = float(network.log_std.detach().exp().mean())
-        return Statistics(float(rollout.reward.mean()), math.nan, kl, used, std, value_loss)
+        kl, value_loss = torch.stack(figures).mean(0)
+        return kl, value_loss
 
     def _gradient(
         self, robots: Tensor, batch: Batch, parameters: list[Tensor], size: int
@@ -309,8 +366,9 @@ class Ppo:
         """Restore a snapshot of a learner with the same arguments."""
         self.network.load_state_dict(content["network"])
         self.optimiser.load_state_dict(content["optimiser"])
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate(content["learning_rate"])
         self.learning_rate = content["learning_rate"]
         self._generator.set_state(content["generator"])
         self.environment.restore(content["environment"])
-        self._observation, self._keep = content["observation"].to(self._device), content["keep"].to(self._device)
-        self._state = (content["state"][0].to(self._device), content["state"][1].to(self._device))
+        self._carry(content["observation"], content["keep"], content["state"])

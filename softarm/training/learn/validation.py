@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,11 +16,12 @@ from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.training.learn.inference import actor
 from softarm.training.learn.network import PolicyNetwork
-from softarm.training.task.environment import Environment
+from softarm.training.task.environment import Environment, Step
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import Array, ReachTask, Starts
 from softarm.training.task.registry import plugin_of
-from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
+from softarm.training.task.shelf import ShelfEnvironment, ShelfTask
+from softarm.training.task.tensor_environment import TensorEnvironment, array_of, environment_on
 
 VALIDATION_SEED = 20230
 VALIDATION_SET = (
@@ -42,7 +43,7 @@ class Scenarios(NamedTuple):
     target_m: Array  # [R, 2]
     depth_m: Array | None = None  # [R], of the targets in their shelves
 
-    def begin(self, environment: Environment) -> Array:
+    def begin(self, environment: Environment | TensorEnvironment) -> Any:
         """Place an environment's robots at the starts and return the observation."""
         if self.depth_m is None:
             return environment.reset(self.starts, self.target_m)
@@ -141,7 +142,7 @@ def fly(
 ) -> Flown:
     """Fly every scenario once with the policy's mean action, without action noise."""
     act = actor(network, len(scenarios.target_m), pool, dtype)
-    return fly_actions(act, task, scenarios, physics_rate_hz, model, randomisation)
+    return fly_actions(act, task, scenarios, physics_rate_hz, model, randomisation, network.device)
 
 
 def fly_actions(
@@ -151,19 +152,21 @@ def fly_actions(
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     model: Model | None = None,
     randomisation: Randomisation | None = None,
+    device: torch.device | str = "cpu",
 ) -> Flown:
     """Fly every scenario once, without action noise; `act` maps observations [R, N] to actions [R, 2] in -1..1."""
     count = len(scenarios.target_m)
-    environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
+    noiseless = replace(task, action_noise=0.0)
+    environment = environment_on(torch.device(device), noiseless, count, 0, model, physics_rate_hz, randomisation)
     first = len(Observation._fields)  # the goal follows the observation
-    observation = scenarios.begin(environment)
+    observation = array_of(scenarios.begin(environment))
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     time_s = np.full(count, task.episode_steps / task.rate_hz, dtype=np.float32)
     closest = np.full(count, np.inf, dtype=np.float32)
     path = np.full((task.episode_steps + 1, count, 2), np.nan, dtype=np.float32)
-    path[0] = environment.simulator.tip_m()
+    path[0] = array_of(environment.simulator.tip_m())
     for k in range(task.episode_steps):
-        step = environment.step(act(observation))
+        step = Step(*map(array_of, environment.step(act(observation))))
         tip, target = step.final_tip_m, step.final_observation[:, first : first + 2]
         closest[alive] = np.minimum(closest, np.linalg.norm(tip - target, axis=1))[alive]
         path[k + 1, alive] = tip[alive]

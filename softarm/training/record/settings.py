@@ -30,7 +30,7 @@ class TrainingConfig:
     averaging: float = 0.975  # share of the averaged weights that an iteration keeps, in the long run
     patience: int = 0  # validations without improvement after which a run stops; 0: no limit
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 if the processor has it
-    device: str = "cpu"  # device of the network, cpu or cuda; the robots stay on the CPU
+    device: str = "cpu"  # device of the robots and the network, cpu or cuda
 
     def products_on(self, device: torch.device) -> str:
         """Return the type of the matrix products on a device, float32 or bfloat16."""

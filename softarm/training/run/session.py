@@ -23,7 +23,7 @@ from softarm.training.task.environment import ACTIONS
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.registry import plugin_of
-from softarm.training.task.shelf import environment_of
+from softarm.training.task.tensor_environment import environment_on
 
 # The average spans at most a tenth of a run's age, so that untrained weights are soon forgotten.
 YOUNG = 10
@@ -63,7 +63,7 @@ class Session:
         products = config.products_on(device)
         self.model, robots = model or Model(), randomisation or Randomisation()
         rate_hz = config.physics_rate_hz
-        environment = environment_of(task, config.robots, config.seed, self.model, rate_hz, robots)
+        environment = environment_on(device, task, config.robots, config.seed, self.model, rate_hz, robots)
         shape = replace(shape or NetworkShape(), inputs=environment.inputs, actions=ACTIONS)
         as_run = replace(config, matrix_products=products)
         self.settings = recorded(task, as_run, ppo, robots, shape, self.model, model_name)

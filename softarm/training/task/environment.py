@@ -28,12 +28,12 @@ Mask = NDArray[np.bool_]
 
 INPUTS = len(Observation._fields) + len(REACH_GOAL)
 ACTIONS = len(ACTION)
-_SEEN = places("cart_position_m", "tip_y_m", "tip_z_m", "cart_velocity_m_s", "tip_vy_m_s", "tip_vz_m_s")
-_SENT, _PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
-_SEEN_THROUGH = ("pressure.sensor_bias", "clock.drift")  # effects of the sensors, in addition to mocap.*
+SEEN = places("cart_position_m", "tip_y_m", "tip_z_m", "cart_velocity_m_s", "tip_vy_m_s", "tip_vz_m_s")
+SENT, PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
+SEEN_THROUGH = ("pressure.sensor_bias", "clock.drift")  # effects of the sensors, in addition to mocap.*
 _ARRAYS_OF_EFFECTS = ("_seen", "_sent_kpa")
 # A separate generator draws the differences between the robots.
-_DIFFERENCES = 7919
+DIFFERENCES = 7919
 
 
 class Step(NamedTuple):
@@ -74,12 +74,12 @@ class Environment:
         self.robots = robots
         self.inputs = len(Observation._fields) + len(task.goal)  # width of an observation
         self._rng = np.random.default_rng(seed)
-        self._drawn: Draw = self.randomisation.draw(np.random.default_rng((seed, _DIFFERENCES)), robots)
+        self._drawn: Draw = self.randomisation.draw(np.random.default_rng((seed, DIFFERENCES)), robots)
         self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz, overrides=self._drawn)
         # Effects at their neutral value need no sensors.
         effects = self.simulator.model.effects.keys() - idle_effects(self.simulator.model)
         effects |= {path.rpartition(".")[0] for path in self._drawn}
-        distorted = any(name.startswith("mocap.") or name in _SEEN_THROUGH for name in effects)
+        distorted = any(name.startswith("mocap.") or name in SEEN_THROUGH for name in effects)
         self.sensors = Sensors(self.simulator, self._rng) if distorted else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
         self._differenced = "observation.finite_difference" in self.simulator.model.effects
@@ -278,6 +278,6 @@ class Environment:
         if self.sensors is not None:
             seen, pressure = self._seen, self.simulator.pressure_reading_kpa
         observation = np.empty((self.robots, INPUTS), dtype=np.float32)
-        observation[:, _SEEN], observation[:, _SENT], observation[:, _PRESSURE] = seen, self._sent, pressure
+        observation[:, SEEN], observation[:, SENT], observation[:, PRESSURE] = seen, self._sent, pressure
         observation[:, len(Observation._fields) :] = self._target
         return observation

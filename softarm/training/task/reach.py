@@ -1,7 +1,7 @@
 """Reach task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,9 +100,13 @@ class ReachTask:
 
     def reward(self, now: Moment) -> Array:
         """Return the scaled reward of a step, float32 [R] ([P] section 4)."""
-        total = self.success_reward * now.success + self.rail_penalty * now.off_rail
-        scaled: Array = (self.reward_scale * (total + self.speed_reward * now.tip_speed_m_s)).astype(np.float32)
+        scaled: Array = self.score(now).astype(np.float32)
         return scaled
+
+    def score(self, now: Moment) -> Any:
+        """Return the scaled reward of arrays, or of tensors on a graphics card."""
+        total = self.success_reward * now.success + self.rail_penalty * now.off_rail
+        return self.reward_scale * (total + self.speed_reward * now.tip_speed_m_s)
 
 
 # reach-wide is for chained targets, as in the demo: each starts where the last one left the cart.

@@ -26,8 +26,8 @@ def _fly(one, other, device, rng, steps=60):
         command = [rng.uniform(-1, 1, ROBOTS).astype(np.float32), rng.uniform(0, 20, ROBOTS).astype(np.float32)]
         one.step(*command)
         other.step(*(torch.from_numpy(each).to(device) for each in command))
-    np.testing.assert_allclose(other.tip_m.cpu(), one.tip_m(), atol=2e-5)
-    np.testing.assert_allclose(other.tip_velocity_m_s.cpu(), one.tip_velocity_m_s(), atol=2e-4)
+    np.testing.assert_allclose(other.tip_m().cpu(), one.tip_m(), atol=2e-5)
+    np.testing.assert_allclose(other.tip_velocity_m_s().cpu(), one.tip_velocity_m_s(), atol=2e-4)
     np.testing.assert_allclose(other.cart_position_m.cpu(), one.cart_position_m, atol=1e-5)
     np.testing.assert_allclose(other.pressure_kpa.cpu(), one.pressure_kpa, atol=1e-4)
 
@@ -41,7 +41,7 @@ def test_trajectories_equal_those_of_the_cpu(model, device):
     one.reset(cart_position_m=cart, joint_angles_rad=angles, pressure_kpa=pressure)
     tensors = [torch.from_numpy(each).to(device) for each in (cart, angles, pressure)]
     other.reset(torch.ones(ROBOTS, dtype=torch.bool, device=device), *tensors)
-    np.testing.assert_allclose(other.tip_m.cpu(), one.tip_m(), atol=1e-6)
+    np.testing.assert_allclose(other.tip_m().cpu(), one.tip_m(), atol=1e-6)
     _fly(one, other, device, rng)
 
 
@@ -92,7 +92,7 @@ def test_the_kernel_compiles_for_a_card(active, monkeypatch):
 
     monkeypatch.setattr(dispatcher, "get_current_device", Card)
     signature = types.void(types.float32[:, ::1], types.int32, types.int32, types.float32)
-    ptx, _ = compiler.compile_ptx(stepper.entry(5, active), signature, cc=(9, 0))
+    ptx, _ = compiler.compile_ptx(stepper.entries(5, active)[0], signature, cc=(9, 0))
     assert "st.global.f32" in ptx
 
 

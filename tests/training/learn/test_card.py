@@ -1,57 +1,54 @@
-"""A graphics card's way through the learner, checked without one: nothing is left with the CPU."""
+"""Training in tensors: learner and environment run here on the CPU, and on a graphics card where there is one."""
 
-import numpy as np
+import copy
+
 import pytest
 import torch
-from torch._subclasses.fake_tensor import FakeTensor, FakeTensorDeviceMismatchError, FakeTensorMode
 
 from softarm.training.learn.inference import device_named
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.learn.ppo import Ppo, PpoConfig
+from softarm.training.learn.ppo import EAGER_ITERATIONS, Ppo, PpoConfig
 from softarm.training.learn.validation import fly, validation_scenarios
 from softarm.training.run.recipe import RECIPES, begin
-from softarm.training.task.environment import ACTIONS, INPUTS, Environment
+from softarm.training.task.environment import ACTIONS, INPUTS
 from softarm.training.task.reach import TASKS
+from softarm.training.task.tensor_environment import TensorEnvironment
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture
-def elsewhere(monkeypatch):
-    """Torch without numbers, but with devices: what meets a tensor of another one is an error.
-
-    The 'meta' device stands for the card; what is read back from it is zeros.
-    """
-    monkeypatch.setattr(torch.Tensor, "numpy", lambda tensor: np.zeros(tensor.shape, dtype=np.float32))
-    monkeypatch.setattr(FakeTensor, "tolist", lambda tensor: np.zeros(tensor.shape).tolist())
-    monkeypatch.setattr(torch.Tensor, "__float__", lambda _: 0.0)
-    monkeypatch.setattr(torch.Tensor, "__bool__", lambda _: True)  # the normaliser was never shown anything
-    with FakeTensorMode(allow_non_fake_inputs=True):
-        yield torch.device("meta")
+card = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a graphics card")
+DEVICES = ["cpu", pytest.param("cuda", marks=card)]
 
 
-class HereAndNow:
-    """Does a pool's work in this thread, where torch has no numbers."""
+def _learner(device, pool) -> Ppo:
+    torch.manual_seed(0)
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS, (16,), 16)).to(device)
+    environment = TensorEnvironment(TASKS["reach"], 32, 0, device=device)
+    return Ppo(network, environment, PpoConfig(horizon=4, observation_noise=0.01), pool, 0)
 
-    def map(self, function, work):
-        return [function(each) for each in work]
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_restored_learner_goes_on_with_the_same_bits(device, pool):
+    """Iterations that are restored come before and after the capture of a graph."""
+    one, other = _learner(device, pool), _learner(device, pool)
+    one.iterate()
+    other.restore(copy.deepcopy(one.snapshot()))
+    for learner in (one, other):
+        for _ in range(EAGER_ITERATIONS + 1):
+            learner.iterate()
+    weights = [each.network.state_dict() for each in (one, other)]
+    for name, value in weights[0].items():
+        torch.testing.assert_close(weights[1][name], value, atol=1e-5 if device == "cuda" else 0.0, rtol=0.0)
+    assert one.network.device.type == device
 
 
-@pytest.mark.parametrize(
-    "order", ["mlp-lstm", *(pytest.param(order, marks=pytest.mark.prove) for order in ("lstm-mlp", "mlp"))]
-)
-def test_an_iteration_and_a_flight_leave_no_memory_on_the_card(elsewhere, order):
-    with elsewhere:
-        network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS, order=order))
-    environment = Environment(TASKS["reach"], 8, 0)
-    made = Ppo(network, environment, PpoConfig(horizon=4, observation_noise=0.01), HereAndNow(), 0)
-    environment._elapsed[:] = 98  # so that some run out of time
-    made.iterate()
-    fly(network, environment.task, validation_scenarios(environment.task, environment.simulator.links, 6), HereAndNow())
-    state = made._observation, made._keep, *made._state, *network.state_dict().values()
-    assert {each.device for each in state} == {elsewhere}
-    with pytest.raises(FakeTensorDeviceMismatchError):  # or the above would show nothing
-        network(torch.ones(1, 8, INPUTS, device="cpu"), made._keep[None], network.initial_state(8))
+@card
+@pytest.mark.slow
+def test_a_flight_on_a_card_equals_that_of_the_cpu(pool):
+    torch.manual_seed(0)
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    scenarios = validation_scenarios(TASKS["reach"], 5, 96)
+    flown = [fly(network.to(device), TASKS["reach"], scenarios, pool) for device in ("cpu", "cuda")]
+    torch.testing.assert_close(*(torch.from_numpy(each.closest_m) for each in flown), atol=2e-3, rtol=0.0)
 
 
 @pytest.mark.parametrize(("name", "sentence"), [("tpu", "give one of cpu, cuda"), ("cuda", "sees no such card here")])

@@ -44,9 +44,18 @@ def fast(layer, x, keep, state, dtype=torch.float32):
     return lstm.sequence(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0, dtype)
 
 
+def _cell(given, fed, cell):
+    """Compute what torch's fused cell does, which there is on graphics cards alone."""
+    i, f, g, o = (given + fed).chunk(4, dim=1)
+    after = f.sigmoid() * cell + i.sigmoid() * g.tanh()
+    return o.sigmoid() * after.tanh(), after, None
+
+
 def of_a_card(layer, x, keep, state):
     """Run the cells of graphics cards, here on the processor."""
-    return lstm._step_by_step(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lstm, "fused_cell", _cell)
+        return lstm._step_by_step(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0)
 
 
 def gradients(run, layer, *more):

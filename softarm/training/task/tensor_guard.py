@@ -1,0 +1,70 @@
+"""Braking clamp of a batch in tensors: the daemon's law, compiled for a graphics card or run by numpy on the CPU."""
+
+# mypy: allow-untyped-defs
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from softarm.schemas.config import DryveRail, RailLimits
+from softarm.simulator.cuda.stepper import launch, numba_cuda
+from softarm.training.task.traced import choose, source
+
+_KERNEL = """
+def bound(wanted, position, velocity, sent, result):
+    i = cuda.grid(1)
+    if i < result.size:
+        {lines}
+        result[i] = {result}
+"""
+
+
+class TensorGuard:
+    """Clamp of velocity commands by the braking law, with a memory of commands that still act."""
+
+    def __init__(self, robots: int, period_s: float, limits: RailLimits, device: torch.device) -> None:
+        """Prepare a clamp with a command every `period_s`; see `RailGuard`."""
+        self._law = limits.braking_law(DryveRail().hold_s).in_float32()
+        self._velocity_max_m_s = limits.velocity_max_m_s
+        before = math.ceil(limits.latency_s / period_s - 1e-9) + 1
+        self._ages_s = [age * period_s for age in range(before, 0, -1)]
+        self.sent_m_s = torch.zeros((before, robots), device=device)  # the newest last
+        self._kernel = _compiled(self.kernel_source()) if device.type == "cuda" else None
+
+    def reset(self, robots: Tensor) -> None:
+        """Set the earlier commands of robots, bool [R], to zero."""
+        self.sent_m_s.masked_fill_(robots, 0.0)
+
+    def apply(self, wanted_m_s: Tensor, position_m: Tensor, velocity_m_s: Tensor) -> Tensor:
+        """Return commands that keep the carts inside the limits, [R]."""
+        wanted = wanted_m_s.clamp(-self._velocity_max_m_s, self._velocity_max_m_s)
+        if self._kernel is None:
+            arrays = [each.numpy() for each in (wanted, position_m, velocity_m_s, *self.sent_m_s)]
+            bounded = torch.from_numpy(self._bound(*arrays))
+        else:
+            bounded = torch.empty_like(wanted)
+            inputs = (wanted, position_m, velocity_m_s)
+            launch(self._kernel, len(wanted), *inputs, self.sent_m_s, bounded)
+        self.sent_m_s.copy_(torch.cat((self.sent_m_s[1:], bounded.unsqueeze(0))))
+        return bounded
+
+    def _bound(self, wanted: Any, position: Any, velocity: Any, *sent: Any) -> Any:
+        pairs = list(zip(self._ages_s, sent, strict=True))
+        return self._law.bound(wanted, position, velocity, sent=pairs).velocity_m_s
+
+    def kernel_source(self) -> str:
+        """Return the source of the clamp's kernel for numba."""
+        inputs = ["wanted[i]", "position[i]", "velocity[i]", *(f"sent[{k}, i]" for k in range(len(self._ages_s)))]
+        lines, result = source(self._bound, inputs)
+        return _KERNEL.format(lines="\n        ".join(lines), result=result)
+
+
+@functools.cache
+def _compiled(text: str) -> Any:
+    """Return a kernel of its source; numba needs seconds for it."""
+    scope: dict[str, Any] = {"cuda": numba_cuda(), "float32": np.float32, "choose": choose}
+    exec(text, scope)
+    return numba_cuda().jit(scope["bound"])

@@ -1,0 +1,116 @@
+"""The environment in tensors equals the environment in arrays, on a graphics card where there is one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from softarm.schemas.config import RailLimits
+from softarm.schemas.model import Model
+from softarm.training.task.environment import Environment
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import TASKS, ReachTask
+from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.tensor_environment import TensorEnvironment, array_of
+from softarm.training.task.tensor_guard import TensorGuard
+
+ROBOTS = 24
+card = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a graphics card")
+DEVICES = ["cpu", pytest.param("cuda", marks=card)]
+NOISELESS = replace(TASKS["reach"], action_noise=0.0)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("differences", [False, True], ids=["velocities", "differences"])
+def test_steps_equal_those_in_arrays(device, differences):
+    model = Model(effects={"observation.finite_difference": {}} if differences else {})
+    one, other = (kind(NOISELESS, ROBOTS, 0, model) for kind in (Environment, lambda *a: _made(*a, device=device)))
+    one.restarts = other.restarts = False
+    rng = np.random.default_rng(0)
+    starts, targets = NOISELESS.sample_starts(rng, ROBOTS, 5), NOISELESS.sample_targets(rng, ROBOTS)
+    observation = one.reset(starts, targets), other.reset(starts, targets)
+    np.testing.assert_allclose(*map(array_of, observation), atol=1e-5)
+    for _ in range(NOISELESS.episode_steps + 1):
+        action = rng.uniform(-1.3, 1.3, (ROBOTS, 2)).astype(np.float32)
+        for ours, theirs in zip(other.step(action), one.step(action), strict=True):
+            np.testing.assert_allclose(array_of(ours).astype(float), theirs.astype(float), atol=2e-3)
+
+
+def _made(*arguments, device="cpu", **options):
+    return TensorEnvironment(*arguments, **options, device=device)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_an_ended_episode_begins_again_within_the_ranges_of_the_task(device):
+    task = replace(TASKS["reach"], episode_steps=3, vented_starts=0.0)
+    environment = _made(task, ROBOTS, 1, device=device)
+    environment.reset()
+    action = np.zeros((ROBOTS, 2))
+    assert not array_of(environment.step(action).truncated).any()
+    environment.step(action)
+    before, step = array_of(environment._target).copy(), environment.step(action)
+    over = array_of(step.truncated | step.terminated)
+    assert over.mean() > 0.5
+    observation = array_of(step.observation)[over]
+    assert (observation[:, -2:] != before[over]).all()
+    for column, (low, high) in ((0, task.cart_start_m), (-2, task.target_y_m), (-1, task.target_z_m)):
+        assert ((low <= observation[:, column]) & (observation[:, column] <= high)).all()
+    assert (array_of(environment._pressure) != 0.0).any()
+    assert (array_of(step.final_observation)[:, -2:] == before).all()
+
+
+def test_each_episode_draws_from_the_ranges():
+    ranges = {"arm.payload.mass": (0.01, 0.05)}
+    environment = _made(NOISELESS, ROBOTS, 0, randomisation=Randomisation(ranges, each_episode=True))
+    masses = []
+    for _ in range(2):
+        environment.reset()
+        masses.append(environment.simulator._row(environment.simulator._at.payload).clone())
+    assert (masses[0] != masses[1]).any()
+    assert ((torch.stack(masses) >= 0.01) & (torch.stack(masses) <= 0.05)).all()
+
+
+def test_a_snapshot_restores_the_episodes():
+    one, other = (_made(TASKS["reach"], ROBOTS, seed) for seed in (1, 2))
+    one.reset()
+    one.stagger()
+    other.restore(one.snapshot())
+    for _ in range(30):
+        action = torch.zeros(ROBOTS, 2)
+        assert torch.equal(one.step(action).observation, other.step(action).observation)
+
+
+def test_what_a_card_does_not_run_is_refused():
+    class Own(ReachTask):
+        pass
+
+    for task in (ShelfTask(), Own()):
+        with pytest.raises(ValueError, match="choose device cpu"):
+            _made(task, ROBOTS, 0)
+    with pytest.raises(ValueError, match=r"mocap\.noise.*choose device cpu"):
+        _made(NOISELESS, ROBOTS, 0, Model(effects={"mocap.noise": {"sigma": 0.001}}))
+    with pytest.raises(ValueError, match=r"clock\.jitter"):
+        _made(NOISELESS, ROBOTS, 0, randomisation=Randomisation({"clock.jitter.sigma": (0.0, 0.001)}))
+
+
+def test_the_traced_braking_law_has_the_bits_of_the_law():
+    """The trace runs here in Python, robot by robot; numba compiles the same lines for a card."""
+    guard, rng = TensorGuard(ROBOTS, 1 / 30, RailLimits(), torch.device("cpu")), np.random.default_rng(0)
+    number = iter(())
+
+    class Cuda:
+        @staticmethod
+        def grid(dimensions):
+            return next(number)
+
+    scope = {"float32": np.float32, "cuda": Cuda, "choose": lambda condition, yes, no: yes if condition else no}
+    exec(guard.kernel_source(), scope)
+    for _ in range(4):
+        wanted, position, velocity = rng.uniform(-1, 1, (3, ROBOTS)).astype(np.float32) * [[1], [0.26], [1]]
+        arrays = [each.astype(np.float32) for each in (wanted, position, velocity)]
+        sent, result = guard.sent_m_s.numpy().copy(), np.zeros(ROBOTS, np.float32)
+        number = iter(range(ROBOTS))
+        for _ in range(ROBOTS):
+            scope["bound"](*arrays, sent, result)
+        np.testing.assert_array_equal(guard.apply(*map(torch.from_numpy, arrays)), result)
