@@ -332,6 +332,27 @@ def simulator(read: Read) -> str:
     )
 
 
+def card(read: Read) -> str:
+    """Return speeds on a graphics card for each number of robots, in million control steps a second."""
+    found, trained = read("card"), read("training-card")
+    speeds: dict[str, Mapping[str, float]] = {
+        "simulator, the paper's effects": found["simulator_steps_per_s"]["seed"],
+        "simulator, every effect": found["simulator_steps_per_s"]["every"],
+        "environment of `reach`": found["environment_steps_per_s"],
+        "training, the paper's network": found["training_steps_per_s"],
+    }
+    seconds = dict(zip(map(str, trained["robots"]), trained["seconds_to_seed_level"], strict=True))
+    robots = sorted({int(each) for row in (*speeds.values(), seconds) for each in row})
+
+    def line(name: str, row: Mapping[str, float], digits: int, unit: float = 1.0) -> list[str]:
+        return [name, *(f"{row[str(k)] / unit:,.{digits}f}" if str(k) in row else "" for k in robots)]
+
+    *simulated, training = speeds.items()
+    rows = [line(*each, 0, 1e6) for each in simulated]
+    rows += [line(*training, 1, 1e6), line("seconds to 94/50/80 %, seed 1", seconds, 1)]
+    return markdown(("robots", *(f"{k:,}" for k in robots)), rows)
+
+
 def matrix(read: Read) -> str:
     """Return a row for each part and fault, with the arm's reaction in each phase."""
     cells: dict[tuple[str, str], dict[str, Any]] = {}
@@ -419,6 +440,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "adversary-cost": adversary_cost,
     "limits": rail_limits,
     "simulator": simulator,
+    "card": card,
     **diagnosis_tables.TABLES,
     **planning_tables.TABLES,
 }
