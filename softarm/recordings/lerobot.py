@@ -25,6 +25,8 @@ STATE = (*Observation._fields, "target_y_m", "target_z_m")
 ACTIONS = Command._fields[1:]  # without the drive's enable
 TASK = "swing the tip onto the target"
 _FILE = "chunk-000/file-000.parquet"
+_NAMES = {"observation.state": STATE, "action": ACTIONS}
+_EXPORT = "write one with `softarm logs export --to lerobot`"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
@@ -115,6 +117,42 @@ def write(folder: Path, found: Iterable[Episode | None]) -> Written:
     return Written(len(kept), sum(episode.reached for episode in kept), int(ends[-1]), len(every) - len(kept))
 
 
+def read(folder: Path) -> list[Episode]:
+    """Read the episodes of a dataset of this robot, of format 3.0 or 2.1.
+
+    Without `next.success`, as in recordings of other programs, every episode counts as reached.
+
+    Raises:
+        ValueError: The folder holds no such dataset; states what is wrong and the remedy.
+        ModuleNotFoundError: pyarrow is not installed.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    try:
+        info = json.loads((folder / "meta/info.json").read_text(encoding="utf-8"))
+        features, version, fps = info["features"], info["codebase_version"], info["fps"]
+        names = {name: tuple(features[name]["names"]) for name in _NAMES}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{folder}: no dataset of this robot ({error}); {_EXPORT}") from None
+    if version not in ("v3.0", "v2.1") or fps != CONTROL_RATE_HZ or names != _NAMES:
+        raise ValueError(
+            f"{folder}: has {version}, {fps} frames a second and the columns {names}; "
+            f"allowed v3.0 or v2.1, {CONTROL_RATE_HZ} and {_NAMES}: {_EXPORT}"
+        )
+    wanted = [*_NAMES, "episode_index", "frame_index", *(["next.success"] if "next.success" in features else [])]
+    try:
+        tables = [parquet.read_table(path, columns=wanted) for path in sorted(folder.glob("data/*/*.parquet"))]
+        table = pyarrow.concat_tables(tables).sort_by([("episode_index", "ascending"), ("frame_index", "ascending")])
+    except (OSError, pyarrow.ArrowInvalid) as error:
+        raise ValueError(f"{folder}: its Parquet files cannot be read ({error}); {_EXPORT}") from None
+    state, action = (np.stack(table[name].to_numpy()).astype(np.float32) for name in _NAMES)
+    success = table["next.success"].to_numpy() if "next.success" in features else np.ones(len(state), dtype=bool)
+    begins = np.flatnonzero(np.diff(table["episode_index"].to_numpy(), prepend=-1))
+    parts = zip(*(np.split(each, begins[1:]) for each in (state, action, success)), strict=True)
+    return [Episode(seen, done, bool(reached.any())) for seen, done, reached in parts]
+
+
 def _columns(episode: Episode, number: int) -> dict[str, NDArray[Any]]:
     """Return the columns of an episode, without its place in the dataset."""
     size = len(episode.state)
@@ -132,7 +170,6 @@ def _columns(episode: Episode, number: int) -> dict[str, NDArray[Any]]:
 
 
 def _info(count: int, frames: int, data: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    names = {"observation.state": STATE, "action": ACTIONS}
     return {
         "codebase_version": "v3.0",
         "robot_type": "softarm",
@@ -147,7 +184,7 @@ def _info(count: int, frames: int, data: Mapping[str, NDArray[Any]]) -> dict[str
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
         "features": {
-            name: {"dtype": str(values.dtype), "shape": [*(values.shape[1:] or (1,))], "names": names.get(name)}
+            name: {"dtype": str(values.dtype), "shape": [*(values.shape[1:] or (1,))], "names": _NAMES.get(name)}
             for name, values in data.items()
         },
     }

@@ -66,3 +66,26 @@ def test_a_log_without_a_complete_goal_is_an_error(tmp_path):
     with pytest.raises(ValueError, match="no complete reach goal; 1 are incomplete"):
         lerobot.write(tmp_path / "none", [None])
     assert not (tmp_path / "none").exists()
+
+
+def test_a_dataset_is_read_as_it_was_written(log, dataset):
+    folder, _ = dataset
+    for read, wrote in zip(lerobot.read(folder), lerobot.episodes(log.path), strict=True):
+        assert np.array_equal(read.state, wrote.state)
+        assert np.array_equal(read.action, wrote.action)
+        assert read.reached == wrote.reached
+
+
+def test_a_dataset_of_format_2_with_a_file_for_each_episode_is_read(log, dataset, tmp_path):
+    folder, written = dataset
+    data = parquet.read_table(folder / "data/chunk-000/file-000.parquet")
+    info = json.loads((folder / "meta/info.json").read_text()) | {"codebase_version": "v2.1"}
+    (tmp_path / "data/chunk-000").mkdir(parents=True)
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/info.json").write_text(json.dumps(info))
+    numbers = np.array(data["episode_index"])
+    for number in range(written.episodes):
+        one = data.filter(numbers == number)
+        parquet.write_table(one, tmp_path / f"data/chunk-000/episode_{number:06d}.parquet")
+    lengths = [len(episode.state) for episode in lerobot.episodes(log.path)]
+    assert [len(episode.state) for episode in lerobot.read(tmp_path)] == lengths

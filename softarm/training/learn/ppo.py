@@ -9,6 +9,7 @@ whole mini-batch at once, and replays an iteration as a CUDA graph.
 """
 
 import math
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -155,6 +156,24 @@ def surrogate(
     return loss, kl, value_loss
 
 
+def descend(
+    optimiser: torch.optim.Optimizer,
+    parameters: list[Tensor],
+    parts: Iterable[tuple[tuple[Tensor, ...], Tensor]],
+    gradient_norm: float,
+) -> Tensor:
+    """Take a step along the sum of the gradients of a batch's parts, and return the sum of their figures.
+
+    The order of the parts, not that of their computation, determines the result to the bit.
+    """
+    results = list(parts)
+    for parameter, *gradients in zip(parameters, *(each for each, _ in results), strict=True):
+        parameter.grad = torch.stack(gradients).sum(0) if len(gradients) > 1 else gradients[0]
+    torch.nn.utils.clip_grad_norm_(parameters, gradient_norm)
+    optimiser.step()
+    return torch.stack([figure for _, figure in results]).sum(0)
+
+
 class Ppo:
     """Learner with its optimiser, random numbers and the state of the robots."""
 
@@ -189,6 +208,11 @@ class Ppo:
         self._iterations = 0
         self._graph: torch.cuda.CUDAGraph | None = None
         self._figures: Tensor | None = None
+
+    @property
+    def frames(self) -> int:
+        """Return the control steps of an iteration, summed over the robots."""
+        return self.environment.robots * self.config.horizon
 
     def iterate(self, critic_only: bool = False) -> Statistics:
         """Collect one roll-out and learn from it; with `critic_only` only the value head learns."""
@@ -332,12 +356,8 @@ class Ppo:
             for chosen in order.chunk(config.minibatches):
                 micro = chosen.split(MICRO_SEQUENCES)
                 gradient = partial(self._gradient, batch=whole, parameters=parameters, size=len(chosen))
-                results = [gradient(chosen)] if self._on_card else list(self._pool.map(gradient, micro))
-                for parameter, *gradients in zip(parameters, *(each for each, _ in results), strict=True):
-                    parameter.grad = torch.stack(gradients).sum(0) if len(gradients) > 1 else gradients[0]
-                torch.nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
-                self.optimiser.step()
-                figures.append(torch.stack([figure for _, figure in results]).sum(0))
+                parts = [gradient(chosen)] if self._on_card else self._pool.map(gradient, micro)
+                figures.append(descend(self.optimiser, parameters, parts, config.gradient_norm))
         kl, value_loss = torch.stack(figures).mean(0)
         return kl, value_loss
 
@@ -348,6 +368,9 @@ class Ppo:
         loss, kl, value_loss = surrogate(self.network, batch.of(robots), self.config, self._dtype)
         share = len(robots) / size
         return torch.autograd.grad(loss * share, parameters), share * torch.stack((kl, value_loss)).detach()
+
+    def held_out_error(self, network: PolicyNetwork) -> None:
+        """Return None: no actions are given."""
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state for `restore`, exact to the bit; tensors and plain values only."""

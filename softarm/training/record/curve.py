@@ -26,6 +26,7 @@ class Iteration(NamedTuple):
     std: float
     value_loss: float
     validation: float | None = None  # success on the validation set, where one was flown
+    action_error: float | None = None  # root mean square on held-out episodes; None without episodes
 
 
 def validated(rows: Sequence[Iteration]) -> list[float]:
@@ -88,8 +89,13 @@ def write_png(rows: Sequence[Iteration], path: Path, title: str) -> None:
         label="validation set, no noise",
     )
     success.set(ylabel="share reached", ylim=(0, 1))
-    reward.plot(millions, [row.reward for row in rows], color=BLUE, label="mean reward of a step, scaled")
-    reward.set(ylabel="reward")
+    errors = [row.action_error for row in rows]
+    if None in errors:
+        reward.plot(millions, [row.reward for row in rows], color=BLUE, label="mean reward of a step, scaled")
+        reward.set(ylabel="reward")
+    else:
+        reward.plot(millions, errors, color=BLUE, label="action error on held-out episodes, root mean square")
+        reward.set(ylabel="error")
     steering.semilogy(millions, [row.learning_rate for row in rows], color=GREEN, label="learning rate")
     steering.semilogy(millions, [row.kl for row in rows], color=ORANGE, alpha=0.7, label="KL divergence")
     steering.set(ylabel="learner", xlabel="million frames")

@@ -16,6 +16,7 @@ SCALARS = {
     "learner/learning_rate": "learning_rate",
     "learner/std": "std",
     "learner/value_loss": "value_loss",
+    "learner/action_error": "action_error",
     "speed/frames_per_s": "frames_per_s",
 }  # tag -> column of the learning curve
 

@@ -30,7 +30,7 @@ def write(session: Session, tested: Tested) -> Path:
 
 def _page(session: Session, tested: Tested) -> str:
     """Return the self-contained page; equal runs give equal pages."""
-    best = next(row for row in session.curve if row.validation is not None and row.validation == session.best)
+    best = session.exported
     share = f"{session.best or 0.0:.1%}"
     facts = (
         ("task", session.task.name),
@@ -94,6 +94,8 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     yield f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:"
     yield f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached"
     yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm dev export`)"
+    if (error := session.exported.action_error) is not None:
+        yield f"  action error on the held-out episodes: {error:.3f}, root mean square; actions span -1 to 1"
     tested = fly_test_trials(session)
     yield f"  {tested.sentence}"
     path = write(session, tested)

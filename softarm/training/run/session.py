@@ -7,26 +7,46 @@ from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 from softarm.schemas.model import Model
 from softarm.training.learn.inference import device_named
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.learn.ppo import Ppo, PpoConfig
+from softarm.training.learn.ppo import Ppo, PpoConfig, Statistics
 from softarm.training.learn.validation import fly, validation_scenarios
 from softarm.training.record import checkpoint, curve, export
 from softarm.training.record.settings import DTYPES, TrainingConfig, recorded, usual
 from softarm.training.record.tensorboard import EventFile
-from softarm.training.task.environment import ACTIONS
+from softarm.training.task.environment import ACTIONS, Environment
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.registry import plugin_of
-from softarm.training.task.tensor_environment import environment_on
+from softarm.training.task.tensor_environment import TensorEnvironment, environment_on
 
 # The average spans at most a tenth of a run's age, so that untrained weights are soon forgotten.
 YOUNG = 10
+
+
+class Learner(Protocol):
+    """Learner of a session's network."""
+
+    @property
+    def frames(self) -> int:
+        """Return the control steps of an iteration."""
+
+    def iterate(self) -> Statistics:
+        """Learn for one iteration."""
+
+    def held_out_error(self, network: PolicyNetwork) -> float | None:
+        """Return the action error of a network on held-out episodes, or None if the learner has no episodes."""
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state for `restore`."""
+
+    def restore(self, content: dict[str, Any]) -> None:
+        """Restore the state of a snapshot."""
 
 
 class Session:
@@ -84,12 +104,16 @@ class Session:
             dtype=DTYPES[products],
             randomisation=robots,
         )
-        self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[products])
+        self.learner = self._learner(environment, DTYPES[products])
         self.frames, self.seconds = 0, 0.0
         self.curve: list[curve.Iteration] = []
         self.events = EventFile(out / "tensorboard")
         if saved is not None:
             self._restore(saved)
+
+    def _learner(self, environment: Environment | TensorEnvironment, dtype: torch.dtype) -> Learner:
+        """Return the learner of the network; it may add to the settings."""
+        return Ppo(self.network, environment, self.ppo, self.pool, self.config.seed, dtype)
 
     @property
     def title(self) -> str:
@@ -102,10 +126,13 @@ class Session:
         """Progress after the newest iteration for people."""
         row, shares = self.curve[-1], curve.validated(self.curve)
         validation = f"{shares[-1]:.1%}, best {max(shares):.1%}" if shares else "-"
-        return (
-            f"{row.frames / 1e6:.1f} M frames, {row.frames_per_s / 1e3:.0f} k/s, "
-            f"reward {row.reward:.2f}, valid {validation}"
-        )
+        learned = f"reward {row.reward:.2f}" if row.action_error is None else f"action error {row.action_error:.3f}"
+        return f"{row.frames / 1e6:.1f} M frames, {row.frames_per_s / 1e3:.0f} k/s, {learned}, valid {validation}"
+
+    @property
+    def exported(self) -> curve.Iteration:
+        """Return the iteration whose checkpoint is exported; raise StopIteration before the first validation."""
+        return next(row for row in self.curve if row.validation is not None and row.validation == self.best)
 
     @property
     def best(self) -> float | None:
@@ -143,12 +170,14 @@ class Session:
         statistics = self.learner.iterate()
         self.average.follow(self.network, averaged_share(len(self.curve), self.config.averaging))
         took = time.monotonic() - start
-        steps = self.config.robots * self.ppo.horizon
+        steps = self.learner.frames
         self.frames += steps
         self.seconds += took
         self.curve.append(
             curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
         )
+        error = self.learner.held_out_error(self.average)
+        self.curve[-1] = self.curve[-1]._replace(action_error=error)
         self.events.add(self.curve)
         if len(self.curve) % self.config.validate_every == 0:
             self._validate_and_save()

@@ -18,6 +18,7 @@ from torch import Tensor
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.normaliser import VARIANCE_FLOOR
+from softarm.training.learn.ppo import Ppo
 from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.run.session import Session
 from softarm.training.task.reach import ReachTask
@@ -75,7 +76,9 @@ def begin(session: Session, prior: Prior, std: float = STD, critic_iterations: i
         "start.std": std,
         "start.critic_iterations": critic_iterations,
     }
-    learner, rate = session.learner, session.learner.learning_rate
+    learner = session.learner
+    assert isinstance(learner, Ppo)
+    rate = learner.learning_rate
     learner.learning_rate = CRITIC_RATE
     for _ in range(critic_iterations):
         learner.iterate(critic_only=True)

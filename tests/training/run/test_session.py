@@ -73,7 +73,7 @@ def stored(curve):
     for tag, column in tensorboard.SCALARS.items():
         values = [(row.frames, getattr(row, column)) for row in curve]
         by_tag[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
-    return by_tag
+    return {tag: values for tag, values in by_tag.items() if values}
 
 
 @pytest.mark.slow
