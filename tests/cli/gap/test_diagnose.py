@@ -190,6 +190,9 @@ def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
     assert outcome.exit_code == 0, outcome.output
     assert asked.model is None
     assert asked.trials[0].stage.name == "axis"
+    asked.trials = None
+    assert invoke("diagnose", tmp_path, "--data", tmp_path / "data").exit_code == 0  # the rig's folder
+    assert asked.trials[0].stage.name == "axis"
 
 
 def test_the_next_experiment_of_a_verdict_is_played_and_diagnosed(asked, tmp_path):
