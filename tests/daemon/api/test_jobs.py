@@ -4,14 +4,17 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from softarm.daemon.control.records import Mode
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import verb_process
 from softarm.daemon.runtime.jobs import Done, JobError, Jobs
 from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal, GoalStatus
 from tests.processes import gone, until
 
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
@@ -143,3 +146,23 @@ def test_a_verbs_process_has_a_low_priority():
     )
     done = subprocess.run([sys.executable, "-c", program, "5"], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["10", str(os.SCHED_OTHER), "1000"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "state", "recorder", "reason"),
+    [
+        (Mode.DISARMED, "none", True, "the arm is disarmed: arm it first"),
+        (Mode.ARMED, "running", True, "a goal is running: wait for its end or cancel it"),
+        (Mode.ARMED, "none", False, "recording is switched off: set recorder.enabled to true"),
+    ],
+)
+def test_an_excitation_needs_what_a_goal_needs(loop, app, client_of, config, mode, state, recorder, reason):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), state)
+    loop.outputs = replace(loop.outputs, mode=mode, goal=goal)
+    recording = Recorder(config)
+    recording.path = Path("x.mcap") if recorder else None
+    answer = client_of(app(loop, config, recorder=recording)).post(
+        "/api/jobs", json={"kind": "excite", "excitation": "seed"}
+    )
+    assert (answer.status_code, loop.taken) == (409, [])
+    assert answer.json()["reasons"][0].startswith(reason)

@@ -99,8 +99,8 @@ class JobEndpoints:
         if goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold":
             advice = "wait for its end or cancel it (`softarm goal cancel`, or Cancel goal on the dashboard)"
             raise Refused(409, f"a goal is running: {advice}")
-        if context.recorder is None:
-            raise Refused(409, "nothing is recorded: set recorder.enabled to true")
+        if context.recorder is None or context.recorder.path is None:
+            raise Refused(409, "recording is switched off: set recorder.enabled to true, then restart the daemon")
         return Excitation(
             name, context.inbox, context.snapshot, context.recorder, self._policies.load, context.config, who
         )

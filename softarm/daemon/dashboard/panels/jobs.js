@@ -3,7 +3,7 @@
 import { ask, get, post } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 import { clock, el, seconds, sentence, worded } from "../view/dom.js";
-import { Panel } from "./panel.js";
+import { LISTING_S, Panel } from "./panel.js";
 
 const EVERY_MS = 1000;
 const LOGS_MAX = 20; // the daemon's own limit for one diagnosis
@@ -20,7 +20,7 @@ export class Jobs extends Panel {
   }
 
   async load() {
-    const { logs } = await get("api/logs");
+    const { logs } = await get("api/logs", { seconds: LISTING_S });
     this.logs = logs.slice(0, LOGS_MAX);
     this.chosen = new Set(this.logs.map(({ name }) => name).filter((name) => this.chosen.has(name)));
     return super.load();

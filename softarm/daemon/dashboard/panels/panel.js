@@ -3,7 +3,7 @@
 import { get } from "../link/api.js";
 import { el, sentence, update, worded } from "../view/dom.js";
 
-const LISTING_S = 35; // the daemon's own limit is 30 s
+export const LISTING_S = 35; // the daemon's own limit is 30 s
 
 export class Panel {
   // fill(answer) of a panel shows the answer of its path.
