@@ -63,7 +63,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "detection": (*_DIAGNOSIS, "softarm/reality"),
     "diagnosis": _DIAGNOSIS,
     "differ": (*_FLIGHTS, "softarm/reality"),
-    "faults": (*_FLIGHTS, "softarm/reality", "validation/faults.py"),
+    "faults": (*_FLIGHTS, "softarm/reality"),
     "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
     "grid": _FLIGHTS,
     "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),

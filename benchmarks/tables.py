@@ -5,6 +5,7 @@ from typing import Any
 
 from benchmarks import diagnosis_tables, planning_tables
 from benchmarks.markdown import Read, markdown
+from softarm.evaluation import faults as worst
 from softarm.evaluation.entries import CEILING
 from softarm.evaluation.table import HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
@@ -127,17 +128,11 @@ def rl_games(read: Read) -> str:
     )
 
 
-_NOMINAL = {"rail.delay_s=0.06": " (nominal 0.033)", "rail.acceleration_m_s2=3": " (nominal 6)"}
-
-
 def faults(read: Read) -> str:
-    """Return the cost of one fault of the independent robot."""
-    found = {fault: shares for fault, shares in read("faults").items() if fault != "about"}
-    rows = []
-    for fault, shares in found.items():
-        title = fault if fault == "none" else f"`{fault}`{_NOMINAL.get(fault, '')}"
-        rows.append([title, *map(_percent, shares.values())])
-    return markdown(("fault", *(f"`{policy}`" for policy in found["none"])), rows)
+    """Return the success of policies with one fault of the independent robot at a time."""
+    found = {fault: of for fault, of in read("faults").items() if fault != "about"}
+    head, rows = worst.lines(found)
+    return markdown(head, rows)
 
 
 _ROBOTS = {

@@ -135,7 +135,12 @@ def _stops(way: Mapping[str, Any]) -> int:
 @click.option("--cases", type=click.IntRange(1, len(CASES)), default=len(CASES), help="Only the first so many cases.")
 @results.json_option
 def main(out: Path, policy: str, seconds: float, cases: int, json_file: Path | None) -> None:
-    """Close the gap of ten faults and five pairs, and print a row for each."""
+    """Close the gap of ten faults and five pairs, and print a row for each.
+
+    \b
+    Example:
+      python -m validation.closing --out runs/closing --cases 3 --json closing.json
+    """
     out.mkdir(parents=True, exist_ok=True)
     level = level_of(policy, out)
     found: dict[str, dict[str, Any]] = {}

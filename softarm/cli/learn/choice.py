@@ -21,6 +21,7 @@ class Choice:
     only: tuple[str, ...]
     tests: tuple[str, ...]
     matrix: bool
+    faults: bool
     report: Path | None
     film: Path | None
     target: tuple[float, float] | None
@@ -40,6 +41,11 @@ class Choice:
         if self.matrix and (self.policies or self.model_file or self.compare_all):
             raise click.UsageError(
                 "--matrix flies a sweep's policies on every shipped model: omit POLICY, --model and --all"
+            )
+        others = (self.compare_all, self.matrix, self.tests, self.model_file, self.keep)
+        if self.faults and any((*others, self.film, self.report, self.leaderboard)):
+            raise click.UsageError(
+                "--faults has its own flights and table: omit all options but --config, --workers, --ray and --json"
             )
         if self.model_file and (own := [test for test in self.tests if "@" in test]):
             raise click.UsageError(f"--test {own[0]} names a model itself: omit --model, or @ and what follows")

@@ -71,6 +71,7 @@ def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> N
 @click.option(
     "--leaderboard", type=FILE, help="Add the results to this file, or check the entry of the same policy in it."
 )
+@click.option("--faults", is_flag=True, help="Fly the independent robot with one strong fault after another.")
 @click.option("--keep", type=FOLDER, help="Of a comparison: keep finished jobs here; the same command continues.")
 @workers_options("Of a comparison: ")
 def evaluate(**chosen: Any) -> None:
@@ -90,6 +91,7 @@ def evaluate(**chosen: Any) -> None:
       softarm evaluate mine.onnx --leaderboard leaderboard.json     add an entry, or reproduce it
       softarm evaluate runs/mine --film swing.gif --target -0.3 0.65
       softarm evaluate --all --json all.json --report all.html
+      softarm evaluate reach-robust mine.onnx --faults
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
     leaves(NOTHING)
@@ -100,6 +102,9 @@ def evaluate(**chosen: Any) -> None:
     with failing(ValueError):
         tests = _tests(choice)
         found = _entries(choice, tests, config)
+        if choice.faults:
+            _worst(choice, found, config)
+            return
         wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
         compared = wanted or _needs_table(found)
         if not compared and (wrong := [name for name in typed() if name in ("--workers", "--ray", "--keep")]):
@@ -183,6 +188,17 @@ def _rank(file: Path, rows: "list[Row]") -> None:
         write(file, leaderboard.text(board))
     if not same:
         fail(f"{file}: not every entry was reproduced; check revision and configuration")
+
+
+def _worst(choice: Choice, found: "Sequence[Entry]", config: "Config") -> None:
+    """Print the success with each strong fault, and the worst. Raises ValueError without the independent robot."""
+    from softarm.evaluation import faults
+    from softarm.evaluation import tests as known
+
+    known.check("held_back")
+    result = faults.measure(found, choice.workers, config)
+    print_table(*faults.lines(result), "targets reached from rest / in mid-swing, %")
+    write_json(choice.json_file, result)
 
 
 def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:

@@ -128,6 +128,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("check", "Missing argument 'FILE'"),
         ("check softarm.yaml --data .", "--data is for the data files of a stage.yaml: name one as FILE"),
         ("close-gap campaign --out closed --robot no-delay --fault arm.payload_kg=0.1", "for the independent robot"),
+        ("evaluate reach --faults --test grid", "--faults has its own flights and table: omit"),
         ("close-gap campaign --out closed --twin", "--twin and --yes go with --config: name a configuration"),
         ("diagnose", "Missing argument 'INPUT...'"),
         ("diagnose campaign --data .", "--data is for the data files of a stage.yaml"),

@@ -1,0 +1,58 @@
+"""The worst case of policies over strong faults of the independent robot."""
+
+import pytest
+
+from softarm.common.batch import Workers
+from softarm.evaluation import faults
+from softarm.evaluation.entries import Entry
+from softarm.evaluation.robots import with_faults
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.flights import CART_STARTS_M, Flight
+from softarm.schemas.goals import GoalStatus
+
+ENTRIES = [Entry("reach"), Entry("reach-robust")]
+
+
+@pytest.fixture
+def flown(monkeypatch):
+    """Replace the flights: a weak rail costs every third target and stops the last flight; return the scenarios."""
+    seen = []
+
+    def fly(policy, robot, scenarios, config):
+        seen.append(scenarios)
+        weak = robot.rail.acceleration_m_s2 == 2
+        states = ["failed" if weak and k % 3 == 0 else "reached" for k in range(len(scenarios))]
+        stops = [*[None] * (len(states) - 1), "rail_outside" if weak else None]
+        return [
+            Flight(GoalStatus(state=state), 0.8, 0.1, 50, stop=stop) for state, stop in zip(states, stops, strict=True)
+        ]
+
+    monkeypatch.setattr(faults, "fly", fly)
+    monkeypatch.setattr(faults, "load", lambda policy, config: None)
+    return seen
+
+
+def test_the_table_has_a_row_per_fault_and_the_worst(flown):
+    found = faults.measure(ENTRIES, Workers(1), faults=("rail.acceleration_m_s2=2", "arm.damping=1"))
+    assert list(found) == ["none", "rail.acceleration_m_s2=2", "arm.damping=1"]
+    assert found["rail.acceleration_m_s2=2"]["reach"] == {"rest": 18 / 27, "swinging": 18 / 27, "stops": 2}
+    head, rows = faults.lines(found)
+    assert head == ("fault", "reach", "reach-robust")
+    assert rows[0] == ("none", "100 / 100", "100 / 100")
+    assert rows[1][1] == "67 / 67, 2 stops"
+    assert rows[-1] == ("worst", "67", "67")
+
+
+def test_every_second_target_is_flown_from_rest_and_in_mid_swing(flown):
+    faults.measure(ENTRIES[:1], Workers(1), faults=())
+    rest, swung = flown
+    assert [each.goal for each in rest] == [each.goal for each in swung]
+    assert len({each.goal for each in rest}) == 27
+    assert {each.cart_start_m for each in rest} == set(CART_STARTS_M)
+    assert all(each.swing is None for each in rest)
+    assert all(each.swing is not None for each in swung)
+
+
+def test_every_fault_is_one_of_the_independent_robot():
+    for fault in faults.FAULTS:
+        assert with_faults(RobotParameters(), [fault]) != RobotParameters()
