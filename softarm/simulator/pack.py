@@ -18,6 +18,13 @@ STOP_DAMPING_N_S_M = 600.0
 # Stands for infinity: the switch of the tracker (m/s) and the ramp (m/s^2) without rail.acceleration_limit.
 NEVER = 1e30
 
+# Substeps at lower rates may diverge under hard commands.
+RATE_MIN_HZ = 120.0
+# A joint whose damping is at least this share of stiffness times substep keeps every mode stable.
+UNDAMPED = 0.7
+# A mode that turns by less in a substep is stable without damping, rad.
+RESOLVED_RAD = 3.0
+
 # Neutral values of each part's rows: a batch needs the part if any robot's row differs.
 _NEEDED_BY = {
     layout.PRESSURE: {
@@ -41,7 +48,6 @@ _NEEDED_BY = {
     layout.JOINTS: {"cubic": 0.0, "joint_friction": 0.0, "creep": 0.0},
     layout.MUSCLE: {"muscle_loop": 0.0, "saturation": 0.0},
     layout.AIR: {"drag": 0.0},
-    layout.TILT: {"slope": 0.0},
     layout.PAYLOAD: {"payload": 0.0},
 }
 
@@ -97,7 +103,7 @@ def pack(models: Sequence[Model], effects: Effects) -> Array:
     return packed
 
 
-def needed(packed: Array, links: int) -> int:
+def needed(packed: NDArray[np.floating], links: int) -> int:
     """Return the bits of the kernel's parts that parameters [R, parameter] need."""
     at, bits = kernel.rows((0,) * links), 0
     for bit, neutral in _NEEDED_BY.items():
@@ -106,39 +112,64 @@ def needed(packed: Array, links: int) -> int:
     return bits
 
 
+def rate_needed_hz(packed: NDArray[np.floating], links: int) -> float:
+    """Return the lowest rate of substeps at which no robot's stiff modes gain energy, Hz.
+
+    Centrifugal forces are extrapolated. They feed a mode that the substep does not resolve, unless the joints' damping
+    consumes more. Both bounds were measured over the registry's ranges of stiffness and damping.
+
+    Args:
+        packed: parameters [R, parameter].
+        links: number of links.
+    """
+    at = kernel.rows((0,) * links)
+    length, moment, inertia, stiffness, damping = (
+        packed[:, first : first + links].astype(np.float64)
+        for first in (at.length, at.moment, at.inertia, at.stiffness, at.damping)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        damped = UNDAMPED * np.where(stiffness > 0.0, stiffness / damping, 0.0).max(axis=1)
+    light = damped > RATE_MIN_HZ
+    if not light.any():
+        return 0.0
+    mass = np.tril(moment[light, :, None] * length[light, None, :], -1)
+    mass += mass.transpose(0, 2, 1) + inertia[light, :, None] * np.eye(links)
+    bend = np.eye(links) - np.eye(links, k=-1)
+    squares = np.linalg.eigvals(np.linalg.solve(mass, bend.T @ (stiffness[light, :, None] * bend)))
+    resolved = np.sqrt(squares.real.max(axis=1)) / RESOLVED_RAD
+    return float(np.minimum(damped[light], resolved).max())
+
+
 def _each(arms: Sequence[Arm] | Sequence[Cart], name: str) -> Array:
     return np.array([getattr(arm, name) for arm in arms], dtype=np.float64)
 
 
 def _arm(arms: Sequence[Arm], carts: Sequence[Cart], effects: Effects) -> dict[str, Array]:
-    """Return the rows of links and joints with the arm's effects; [R], [R, n] or [R, n, n]."""
+    """Return the rows of links and joints with the arm's effects; [R] or [R, n]."""
     length, mass = _each(arms, "link_length_m"), _each(arms, "link_mass_kg")
-    n, payload = length.shape[1], effects.value("arm.payload", "mass")
+    payload = effects.value("arm.payload", "mass")
     beyond = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1] - mass + payload[:, None]  # mass beyond each link
     moment = length * (mass / 2 + beyond)
-    coupling = moment[:, :, None] * length[:, None, :]  # l_j S_i, right where i > j
-    diagonal = _each(arms, "link_inertia_kg_m2") + length**2 * (mass / 4 + beyond)
-    coupling[:, range(n), range(n)] = diagonal
     gravity, tilt = _each(arms, "gravity_m_s2"), effects.value("arm.tilt", "angle")
     cart_mass = _each(carts, "mass_kg")
-    total = cart_mass + mass.sum(axis=1) + payload
 
     def scaled(name: str, effect: str) -> Array:
         return _each(arms, name) * (1.0 + effects.value(effect, "scale"))[:, None]
 
     loop = effects.value("arm.hysteresis", "strength") * effects.value("arm.hysteresis", "width")
     return {
-        "mass": total,
+        "mass": cart_mass + mass.sum(axis=1) + payload,
         "cart_mass": cart_mass,
         "base_height": _each(arms, "base_height_m"),
         "length": length,
         "moment": moment,
-        "weight": (gravity * np.cos(tilt))[:, None] * moment,
         "stiffness": scaled("stiffness_nm_rad", "arm.stiffness"),
         "damping": scaled("damping_nm_s_rad", "arm.damping"),
         "muscle": scaled("muscle_gain_nm_kpa", "arm.muscle_gain"),
         "offset": scaled("torque_offset_nm", "arm.torque_offset"),
-        "coupling": coupling,
+        "inertia": _each(arms, "link_inertia_kg_m2") + length**2 * (mass / 4 + beyond),
+        "gravity": gravity * np.cos(tilt),
+        "gravity_along": gravity * np.sin(tilt),
         "muscle_loop": loop,
         "muscle_width": 1.0 / effects.value("arm.hysteresis", "width"),
         "saturation": 1.0 / effects.value("arm.muscle_saturation", "pressure"),
@@ -147,11 +178,8 @@ def _arm(arms: Sequence[Arm], carts: Sequence[Cart], effects: Effects) -> dict[s
         "creep": effects.value("arm.creep", "strength"),
         "creep_time": effects.value("arm.creep", "time"),
         "payload": payload,
-        "payload_weight": payload * gravity,
         "drag": effects.value("arm.drag", "coefficient"),
         "drag_most": 0.5 * mass,
-        "slope": np.tan(tilt),
-        "downhill": total * gravity * np.sin(tilt),
     }
 
 

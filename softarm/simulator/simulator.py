@@ -15,7 +15,7 @@ from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import kernel
 from softarm.simulator.kernel import layout
-from softarm.simulator.pack import Effects, needed, pack
+from softarm.simulator.pack import RATE_MIN_HZ, Effects, needed, pack, rate_needed_hz
 
 Array = NDArray[np.floating]
 
@@ -23,8 +23,6 @@ Array = NDArray[np.floating]
 WIDE, NARROW = (0,) * 32, (0,) * 8
 # Waking the other cores costs more than fewer blocks would save: about 0.1 ms, the time of 1000 robots' step.
 PARALLEL_BLOCKS = 32
-# Substeps at lower rates may diverge under hard commands.
-RATE_MIN_HZ = 120.0
 # Where a shelf stands that no arm can reach, m.
 NOWHERE_M = -1e3
 
@@ -76,7 +74,8 @@ class Simulator:
         Args:
             model: one model for all robots (default: the seed's), or one a robot, all with the same number of links.
             robots: number of robots R; default: the number of models.
-            physics_rate_hz: lowest rate of the substeps, at least 120 Hz.
+            physics_rate_hz: lowest rate of the substeps, at least 120 Hz; a batch with a stiff, nearly undamped arm
+                takes more.
             overrides: values of effects, 'stage.effect.parameter' -> scalar or [R].
             fixed_base: True keeps the cart at rest.
             dtype: float32; float64 is for tests of the integration scheme.
@@ -134,15 +133,14 @@ class Simulator:
         """
         self._overrides |= values
         self.effects = Effects(self.models, self._overrides, self.robots)
-        packed = pack(self.models, self.effects)
+        packed = pack(self.models, self.effects).astype(self._real)
         width = len(self._lanes)
         everyone = np.resize(np.arange(len(packed)), self.robots)
         # Lanes without a robot copy the first one.
         lanes = np.concatenate((everyone, np.zeros(len(self._rows) * width - self.robots, dtype=np.int64)))
         self._rows[:, : self._at.shelf_y] = packed[lanes].reshape(-1, width, packed.shape[1]).transpose(0, 2, 1)
         self._pressure_bias = self.effects.value("pressure.sensor_bias", "bias").astype(self._real)
-        self._needed = needed(packed, self.links)
-        self._substep_s = 0.0
+        self._examine(packed)
         self._located = False
 
     def place_shelf(self, edge_y_m: ArrayLike, board_z_m: ArrayLike, robots: ArrayLike | None = None) -> None:
@@ -373,11 +371,17 @@ class Simulator:
         if snapshot.shape != self._memory.shape:
             raise ValueError(f"a snapshot has shape {snapshot.shape}; this simulator's are {self._memory.shape}")
         self._memory[:] = snapshot
-        packed = self._rows[:, : self._at.shelf_y].transpose(0, 2, 1).reshape(-1, self._at.shelf_y).astype(np.float64)
-        self._needed = needed(packed, self.links)
+        packed = self._rows[:, : self._at.shelf_y].transpose(0, 2, 1).reshape(-1, self._at.shelf_y)
+        self._examine(packed)
         if (self._rows[:, self._at.shelf_y] != NOWHERE_M).any():
             self._given |= layout.SHELF
-        self._substep_s, self._located = 0.0, False
+        self._located = False
+
+    def _examine(self, packed: Array) -> None:
+        """Find the kernel's parts and the rate that parameters [R, parameter] need."""
+        self._needed = needed(packed, self.links)
+        self._rate_hz = max(self.physics_rate_hz, rate_needed_hz(packed, self.links))
+        self._substep_s = 0.0
 
     def _chosen(self, robots: ArrayLike | None) -> NDArray[np.int64]:
         everyone = np.arange(self.robots)
@@ -395,7 +399,7 @@ class Simulator:
         """
         if not 0.0 < duration_s < math.inf:
             raise ValueError(f"duration_s is {duration_s}; give a positive number of seconds")
-        substeps = max(1, math.ceil(duration_s * self.physics_rate_hz - 1e-3))
+        substeps = max(1, math.ceil(duration_s * self._rate_hz - 1e-3))
         substep_s = duration_s / substeps
         if substep_s != self._substep_s:
             kernel.prepare(self._memory, self._links, self._lanes, self._real(substep_s))

@@ -167,3 +167,28 @@ def test_tip_velocity_is_the_rate_of_the_tip() -> None:
     after, later = simulator.tip_m(), simulator.tip_velocity_m_s()
     np.testing.assert_allclose((after - before) * 1200, (velocity + later) / 2, atol=2e-3)
     assert np.abs(velocity).max() > 0.3
+
+
+def _fastest_link(damping, stiffness, rate_hz):
+    """Return the largest rate of any link within 3 s of hard commands, rad/s."""
+    velocity, pressure = commands.bang_bang(64, seed=2)
+    overrides = {"arm.damping.scale": damping, "arm.stiffness.scale": stiffness}
+    simulator = Simulator(robots=64, physics_rate_hz=rate_hz, overrides=overrides)
+    simulator.reset(joint_angles_rad=np.random.default_rng(1).uniform(-0.17, 0.17, (64, 5)))
+    most = 0.0
+    for v, p in zip(velocity, pressure, strict=True):
+        simulator.step(v, p)
+        most = max(most, float(np.abs(simulator.link_rates_rad_s).max()))
+    return most
+
+
+@pytest.mark.parametrize(("damping", "stiffness"), [(-0.9, 2.0), (-0.9, 0.5), (-0.8, 2.0)])
+def test_a_stiff_arm_with_little_damping_gains_no_energy_at_240_hz(damping, stiffness):
+    assert _fastest_link(damping, stiffness, 240) < 1.2 * _fastest_link(damping, stiffness, 2400)
+
+
+def test_only_stiff_and_undamped_arms_take_finer_substeps():
+    ordinary = Simulator(robots=2, overrides={"arm.damping.scale": [-0.8, 1.0], "arm.stiffness.scale": [0.0, 2.0]})
+    assert ordinary.prepare(1 / 30)[2] == 8
+    undamped = Simulator(robots=2, overrides={"arm.damping.scale": [-0.9, 1.0], "arm.stiffness.scale": 2.0})
+    assert undamped.prepare(1 / 30)[2] == 15

@@ -3,10 +3,13 @@
 n rigid links hanging from a cart, in absolute link angles phi (0 hangs straight down), coordinates
 q = (cart y, phi_1 .. phi_n), with S_i = m_i l_i / 2 + l_i sum_{k>i} m_k:
 
-    M_00 = m_cart + sum m_i,  M_0i = S_i cos phi_i,  M_ij = C_ij cos(phi_i - phi_j),
-    C_ij = l_j S_i (i > j),   C_ii = I_i + m_i l_i^2 / 4 + l_i^2 sum_{k>i} m_k
+    M_00 = m_cart + sum m_i,  M_0i = S_i cos phi_i,  M_ij = l_j S_i cos(phi_i - phi_j) (i > j),
+    M_ii = I_i + m_i l_i^2 / 4 + l_i^2 sum_{k>i} m_k
 
 and joint torques -K theta - D theta' - (b p + offset) on theta_i = phi_i - phi_{i-1} (paper, eq. 1).
+
+Every M_ij is (S_i cos phi_i)(l_j cos phi_j) + (S_i sin phi_i)(l_j sin phi_j), so the centrifugal
+forces are two running sums, from the cart to the tip and back.
 
 Scheme: midpoint rule, second order. With h = dt / 2, geometry is taken at q + h v, the centrifugal terms at
 v + h a_previous; springs, dampers and the cart's drive are linear and solved implicitly at the midpoint, so
@@ -38,15 +41,17 @@ def assemble(m, w, links, lanes, active, end, dt):
         force, mass = IMMOVABLE_KG * acceleration, fill(acceleration, IMMOVABLE_KG)
     else:
         force, mass = drive(m, lanes, at, active, end, dt)
-    store(w, at.matrix, lanes, load(m, at.mass, lanes) + mass)
+    total, along = load(m, at.mass, lanes), load(m, at.gravity_along, lanes)
+    store(w, at.matrix, lanes, total + mass)
+    # Apparent gravity at the current joint: down, and along the rail.
+    down, aside = load(m, at.gravity, lanes), 0.0 - along
     angle_before = rate_before = fill(pressure, 0.0)
     for i in range(n):
         rate = load(m, at.v + 1 + i, lanes)
         angle = load(m, at.q + 1 + i, lanes) + h * rate
         sine, cosine = sine_cosine(angle)
-        rate_middle = rate + h * load(m, at.a + 1 + i, lanes)
-        square = rate_middle * rate_middle
-        moment = load(m, at.moment + i, lanes)
+        middle = rate + h * load(m, at.a + 1 + i, lanes)
+        square = middle * middle
         torque = (
             load(m, at.stiffness + i, lanes) * (angle_before - angle)
             + load(m, at.damping + i, lanes) * (rate_before - rate)
@@ -54,27 +59,39 @@ def assemble(m, w, links, lanes, active, end, dt):
             - load(m, at.offset + i, lanes)
         )
         angle_before, rate_before = angle, rate
-        force = force + moment * sine * square
-        store(w, at.sine + i, lanes, sine)
-        store(w, at.cosine + i, lanes, cosine)
-        store(w, at.square + i, lanes, square)
-        store(w, at.matrix + (i + 1) * order, lanes, moment * cosine)
         if i > 0:  # the joint pushes back on the link before; before the first is the rail
             store(w, at.rhs + i, lanes, load(w, at.rhs + i, lanes) - torque)
-        own = torque - load(m, at.weight + i, lanes) * sine
+        length, moment = load(m, at.length + i, lanes), load(m, at.moment + i, lanes)
+        moment_y, moment_z = moment * cosine, moment * sine
+        reach_y, reach_z = length * cosine, length * sine
+        store(w, at.rhs + i + 1, lanes, torque - moment_z * down + moment_y * aside)
+        row = at.matrix + (i + 1) * order
+        store(w, row, lanes, moment_y)
         for j in range(i):
-            sine_j, cosine_j = load(w, at.sine + j, lanes), load(w, at.cosine + j, lanes)
-            coupling = load(m, at.coupling + i * n + j, lanes)
-            entry = coupling * (cosine * cosine_j + sine * sine_j)
+            entry = moment_y * load(w, at.reach_y + j, lanes) + moment_z * load(w, at.reach_z + j, lanes)
             if j == i - 1:
                 entry = entry - load(m, at.implicit + i, lanes)
-            store(w, at.matrix + (i + 1) * order + j + 1, lanes, entry)
-            across = coupling * (sine * cosine_j - cosine * sine_j)
-            own = own - across * load(w, at.square + j, lanes)
-            store(w, at.rhs + j + 1, lanes, load(w, at.rhs + j + 1, lanes) + across * square)
-        store(w, at.rhs + i + 1, lanes, own)
-        store(w, at.matrix + (i + 1) * (order + 1), lanes, load(m, at.diagonal + i, lanes))
-    store(w, at.rhs, lanes, force)
+            store(w, row + j + 1, lanes, entry)
+        store(w, row + i + 1, lanes, load(m, at.diagonal + i, lanes))
+        down, aside = down + reach_y * square, aside + reach_z * square
+        store(w, at.sine + i, lanes, sine)
+        store(w, at.cosine + i, lanes, cosine)
+        store(w, at.rate + i, lanes, middle)
+        store(w, at.square + i, lanes, square)
+        store(w, at.reach_y + i, lanes, reach_y)
+        store(w, at.reach_z + i, lanes, reach_z)
+        store(w, at.moment_z + i, lanes, moment_z)
+    store(w, at.tip_down, lanes, down)
+    store(w, at.tip_aside, lanes, aside)
+    # Centrifugal forces of the links beyond each one.
+    pull_y = pull_z = fill(pressure, 0.0)
+    for i in range(n - 1, -1, -1):
+        reach_y, reach_z = load(w, at.reach_y + i, lanes), load(w, at.reach_z + i, lanes)
+        square = load(w, at.square + i, lanes)
+        store(w, at.rhs + i + 1, lanes, load(w, at.rhs + i + 1, lanes) + reach_y * pull_z - reach_z * pull_y)
+        pull_y = pull_y + load(w, at.matrix + (i + 1) * order, lanes) * square
+        pull_z = pull_z + load(w, at.moment_z + i, lanes) * square
+    store(w, at.rhs, lanes, force + pull_z - total * along)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Nonlinear joint torques, gravity on a tilted rail, the payload's tension and air drag."""
+"""Nonlinear joint torques, the payload's tension and air drag."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 from softarm.simulator.kernel.compiled import compiled
@@ -57,17 +57,6 @@ def settle_joints(m, w, links, lanes, dt):
 
 
 @compiled
-def add_tilt(m, w, links, lanes):
-    """Add the part of gravity that points along a rail that is not level."""
-    at = rows(links)
-    slope = load(m, at.slope, lanes)
-    store(w, at.rhs, lanes, load(w, at.rhs, lanes) - load(m, at.downhill, lanes))
-    for i in range(len(links)):
-        lean = load(m, at.weight + i, lanes) * slope * load(w, at.cosine + i, lanes)
-        store(w, at.rhs + i + 1, lanes, load(w, at.rhs + i + 1, lanes) - lean)
-
-
-@compiled
 def add_payload(m, w, links, lanes, dt):
     """Add the implicit straightening of the links by the payload's weight and centrifugal force.
 
@@ -75,16 +64,12 @@ def add_payload(m, w, links, lanes, dt):
     modes that no training step resolves. A stiffness keeps them stable.
     """
     at, order, h = rows(links), len(links) + 1, 0.5 * dt
-    payload = load(m, at.payload, lanes)
+    payload = (h * h) * load(m, at.payload, lanes)
+    down, aside = payload * load(w, at.tip_down, lanes), payload * load(w, at.tip_aside, lanes)
     for i in range(len(links)):
-        sine, cosine = load(w, at.sine + i, lanes), load(w, at.cosine + i, lanes)
-        pull = load(m, at.payload_weight, lanes) * cosine
-        for j in range(len(links)):
-            along = cosine * load(w, at.cosine + j, lanes) + sine * load(w, at.sine + j, lanes)
-            pull = pull + payload * load(m, at.length + j, lanes) * along * load(w, at.square + j, lanes)
-        straightening = select(pull > 0.0, (h * h) * load(m, at.length + i, lanes) * pull, 0.0)
+        pull = load(w, at.reach_y + i, lanes) * down + load(w, at.reach_z + i, lanes) * aside
         own = at.matrix + (i + 1) * (order + 1)
-        store(w, own, lanes, load(w, own, lanes) + straightening)
+        store(w, own, lanes, load(w, own, lanes) + select(pull > 0.0, pull, 0.0))
 
 
 @compiled
@@ -95,26 +80,24 @@ def add_drag(m, w, links, lanes, dt):
     shells of 5 g beyond c |v| = 0.6 N s/m.
     """
     at, n, h = rows(links), len(links), 0.5 * dt
-    coefficient = load(m, at.drag, lanes)
+    coefficient, slowest = load(m, at.drag, lanes), 1.0 / dt
     vy = load(m, at.v, lanes) + h * load(m, at.a, lanes)
     vz = fill(vy, 0.0)
     for i in range(n):
-        rate = load(m, at.v + 1 + i, lanes) + h * load(m, at.a + 1 + i, lanes)
-        half = 0.5 * load(m, at.length + i, lanes) * rate
-        step_y, step_z = half * load(w, at.cosine + i, lanes), half * load(w, at.sine + i, lanes)
-        vy, vz = vy + step_y, vz + step_z  # the centre
+        half = 0.5 * load(w, at.rate + i, lanes)
+        reach_y, reach_z = load(w, at.reach_y + i, lanes), load(w, at.reach_z + i, lanes)
+        vy, vz = vy + half * reach_y, vz + half * reach_z  # the centre
         slowing = coefficient * root(vy * vy + vz * vz)
-        most = load(m, at.drag_most + i, lanes) * (1.0 / dt)
+        most = load(m, at.drag_most + i, lanes) * slowest
         slowing = select(slowing > most, most, slowing)
         store(w, at.drag_y + i, lanes, 0.0 - slowing * vy)
         store(w, at.drag_z + i, lanes, 0.0 - slowing * vz)
-        vy, vz = vy + step_y, vz + step_z  # the end
+        vy, vz = vy + half * reach_y, vz + half * reach_z  # the end
     beyond_y = beyond_z = fill(vy, 0.0)  # the forces on all links after this one
     for i in range(n - 1, -1, -1):
         fy, fz = load(w, at.drag_y + i, lanes), load(w, at.drag_z + i, lanes)
-        across = load(w, at.cosine + i, lanes) * (beyond_y + 0.5 * fy)
-        across = across + load(w, at.sine + i, lanes) * (beyond_z + 0.5 * fz)
-        torque = load(m, at.length + i, lanes) * across
+        torque = load(w, at.reach_y + i, lanes) * (beyond_y + 0.5 * fy)
+        torque = torque + load(w, at.reach_z + i, lanes) * (beyond_z + 0.5 * fz)
         store(w, at.rhs + i + 1, lanes, load(w, at.rhs + i + 1, lanes) + torque)
         beyond_y, beyond_z = beyond_y + fy, beyond_z + fz
     store(w, at.rhs, lanes, load(w, at.rhs, lanes) + beyond_y)

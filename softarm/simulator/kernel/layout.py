@@ -21,9 +21,8 @@ RAIL = 2  # servo, lag, gain, friction, backlash or force limit of the rail
 JOINTS = 4  # stiffening, dry friction or creep
 MUSCLE = 8  # hysteresis or saturation
 AIR = 16  # drag
-TILT = 32
+PAYLOAD = 32
 SHELF = 64
-PAYLOAD = 512
 # Quantities that are given from outside instead of simulated.
 CART_GIVEN = 128
 PRESSURE_GIVEN = 256
@@ -45,12 +44,13 @@ _PARAMETERS: dict[str, int | str] = {
     "base_height": 1,  # m
     "length": "n",  # m
     "moment": "n",  # S_i, kg m
-    "weight": "n",  # g S_i, N m
     "stiffness": "n",  # N m/rad
     "damping": "n",  # N m s/rad
     "muscle": "n",  # N m/kPa
     "offset": "n",  # N m
-    "coupling": "n*n",  # C_ij, kg m^2; i >= j is used
+    "inertia": "n",  # M_ii, kg m^2
+    "gravity": 1,  # across the rail, m/s^2
+    "gravity_along": 1,  # along the rail, which tilts
     # Effects.
     "dead_time": 1,  # s
     "deadband": 1,  # kPa
@@ -76,11 +76,8 @@ _PARAMETERS: dict[str, int | str] = {
     "creep": 1,
     "creep_time": 1,  # s
     "payload": 1,  # kg
-    "payload_weight": 1,  # N
     "drag": 1,  # N s^2/m^2
     "drag_most": "n",  # half of each link's mass, kg
-    "slope": 1,  # tangent of the tilt
-    "downhill": 1,  # weight along the rail, N
     "span": "n",  # a link's straight part between its rounded ends, m
     "shelf_friction": 1,
     "shelf_stiffness": 1,  # N/m
@@ -133,7 +130,7 @@ _DERIVED: dict[str, int | str] = {
     "reach_inflate": 1,  # share of the target that a leak leaves while the regulator fills, and while it vents
     "reach_deflate": 1,
     "implicit": "n",  # h D + h^2 K of each joint
-    "diagonal": "n",  # C_ii and what the joints add to it
+    "diagonal": "n",  # M_ii and what the joints add to it
     # Of this substep, set by `drive`.
     "drive_given": 1,  # the drive's force without its implicit part, N
     "drive_given_mass": 1,  # the implicit part per acceleration of the cart, kg
@@ -149,7 +146,13 @@ _BLOCK = _PARAMETERS | _SHELF | _STATE | _INPUT | _DERIVED
 _SCRATCH: dict[str, int | str] = {
     "sine": "n",
     "cosine": "n",
-    "square": "n",  # squared link rates
+    "rate": "n",  # of a link at the midpoint, rad/s
+    "square": "n",  # its square
+    "reach_y": "n",  # l_i cos phi_i: way of a link's end per angle, m
+    "reach_z": "n",  # l_i sin phi_i
+    "moment_z": "n",  # S_i sin phi_i, kg m; S_i cos phi_i is in the matrix
+    "tip_down": 1,  # apparent gravity at the tip without tangential acceleration, m/s^2
+    "tip_aside": 1,
     "drag_y": "n",  # N
     "drag_z": "n",
     "lever": "q",  # of a contact's normal
@@ -166,7 +169,7 @@ Rows = namedtuple("Rows", [*_BLOCK, "end", *_SCRATCH, "scratch_end"])  # type: i
 def rows(links: tuple[int, ...]) -> Any:
     """Return the first row of each quantity; `links` is a tuple with one entry a link."""
     n = len(links)
-    size = {"n": n, "n*n": n * n, "q": n + 1, "q*q": (n + 1) ** 2}
+    size = {"n": n, "q": n + 1, "q*q": (n + 1) ** 2}
     starts = []
     for part in (_BLOCK, _SCRATCH):
         row = 0

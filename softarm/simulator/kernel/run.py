@@ -8,7 +8,7 @@ from numba import prange
 from softarm.simulator.kernel.arm import assemble, limit_drive, locate_block, solve
 from softarm.simulator.kernel.compiled import compiled, entry
 from softarm.simulator.kernel.contact import add_shelf
-from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
+from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, settle_joints
 from softarm.simulator.kernel.layout import (
     AIR,
     CART_GIVEN,
@@ -18,7 +18,6 @@ from softarm.simulator.kernel.layout import (
     PRESSURE_GIVEN,
     RAIL,
     SHELF,
-    TILT,
     rows,
     scratch,
 )
@@ -64,8 +63,6 @@ def advance_block(m, links, lanes, parts, active, substeps, dt):
             add_joints(m, w, links, lanes, dt)
         if active & PAYLOAD:
             add_payload(m, w, links, lanes, dt)
-        if active & TILT:
-            add_tilt(m, w, links, lanes)
         if active & AIR:
             add_drag(m, w, links, lanes, dt)
         if active & SHELF:
@@ -80,9 +77,9 @@ def advance_block(m, links, lanes, parts, active, substeps, dt):
         for i in range(len(links) + 1):
             most = FASTEST_M_S if i == 0 else FASTEST_RAD_S
             v = load(m, at.v + i, lanes)
-            change = clip(dt * load(w, at.rhs + i, lanes), -most, most)
-            after = clip(v + change, -most, most)
-            store(m, at.a + i, lanes, change * (1.0 / dt))
+            a = clip(load(w, at.rhs + i, lanes), -most * (1.0 / dt), most * (1.0 / dt))
+            after = clip(v + dt * a, -most, most)
+            store(m, at.a + i, lanes, a)
             store(m, at.q + i, lanes, load(m, at.q + i, lanes) + h * (v + after))
             store(m, at.v + i, lanes, after)
     grow_older(m, lanes, at, active, substeps * dt)
@@ -164,7 +161,7 @@ def prepare(memory, links, lanes, dt):
             for i in range(n):
                 implicit = h * (m[(at.damping + i) * width + k] + h * m[(at.stiffness + i) * width + k])
                 m[(at.implicit + i) * width + k] = implicit
-                m[(at.diagonal + i) * width + k] = m[(at.coupling + i * n + i) * width + k] + implicit
+                m[(at.diagonal + i) * width + k] = m[(at.inertia + i) * width + k] + implicit
                 if i > 0:
                     m[(at.diagonal + i - 1) * width + k] += implicit
 

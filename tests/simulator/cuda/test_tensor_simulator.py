@@ -81,7 +81,7 @@ def test_a_snapshot_restores_the_motion():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("active", [0, 575], ids=["seed", "every effect"])
+@pytest.mark.parametrize("active", [0, 543], ids=["seed", "every effect"])
 def test_the_kernel_compiles_for_a_card(active, monkeypatch):
     pytest.importorskip("numba_cuda", reason="needs numba-cuda")
     from numba import types
