@@ -315,10 +315,10 @@ def simulator(read: Read) -> str:
     ours, theirs = (
         f"{found[key]['mean']:.2f} / {found[key]['max']:.2f} mm" for key in ("tip_error_mm", "mujoco_tip_error_mm")
     )
-    fast, slow = found["control_steps_per_s"], found["mujoco_control_steps_per_s"]
+    fast, slow = found["control_steps_per_core_s"], found["mujoco_control_steps_per_core_s"]
     version = found["mujoco_version"].rpartition(".")[0]
     return markdown(
-        ("", "step rate", "control steps/s", "tip error after 3 s, mean / max"),
+        ("", "step rate", "control steps per core and second", "tip error after 3 s, mean / max"),
         [
             ["softarm", f"{found['step_rate_hz']:.0f} Hz", f"{fast / 1e6:.1f} M", ours],
             [f"MuJoCo {version}", f"{found['mujoco_step_rate_hz']:.0f} Hz", f"{slow / 1e3:.1f} k", theirs],
