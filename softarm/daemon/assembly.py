@@ -23,14 +23,14 @@ from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.first_policy import first_policy
 from softarm.daemon.runtime.jobs import Jobs
 from softarm.daemon.runtime.loop import ControlLoop
+from softarm.daemon.runtime.rehearsal import Rehearsal
 from softarm.daemon.runtime.service import Notifier, allow_descriptors
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
-from softarm.policies import registry
+from softarm.policies import registry, trusted
 from softarm.policies.base import Policy
-from softarm.policies.runner import ThreadRunner
 from softarm.schemas.config import Config
 
 log = logging.getLogger(__name__)
@@ -67,7 +67,8 @@ class Daemon:
         # A robot simulated in this process has no stop to keep.
         self.latch = None if devices.simulated else LatchKeeper(latch_path(config), config.control.realtime_priority)
         self.notifier = Notifier()
-        controller = Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s))
+        runner = trusted.runner(policy, config.failsafe.policy_budget_s)
+        controller = Controller(config, runner)
         self.loop = ControlLoop(
             controller,
             devices,
@@ -76,6 +77,7 @@ class Daemon:
             self.notifier,
             self.latch,
             config.control.realtime_priority,
+            Rehearsal(config, runner),
         )
         sessions = Sessions(config.api.port)
         self.api = ApiServer(config.api, create_app(self._api_context(controller, devices, sessions)))
@@ -86,6 +88,7 @@ class Daemon:
             config.control.realtime_priority,
             lambda: self.port,
             sessions,
+            None if self.latch is None else self.latch.note,
         )
         self.ros: RosNode | None = None
         if config.ros.router is not None:

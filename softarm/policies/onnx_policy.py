@@ -1,7 +1,9 @@
 """Trained policy from an ONNX file with metadata; docs/policies/interface.md describes the file."""
 
+import copy
 import hashlib
 import json
+import time
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -57,8 +59,7 @@ class OnnxPolicy:
         self._half_range: Array = (high - low) * np.float32(0.5)
         self.reset()
         self._replay_golden_run(file.path)
-        for _ in range(_WARM_UP_STEPS):
-            self.step(np.zeros(len(OBSERVATION), np.float32), np.zeros(len(REACH_GOAL), np.float32))
+        self.step_s = min(self._timed_step() for _ in range(_WARM_UP_STEPS))  # of the warm-up
         self.reset()
 
     @classmethod
@@ -83,6 +84,19 @@ class OnnxPolicy:
         self._input[0, end:] = self.target_depth_m  # an empty slice for a reach task
         action: Array = self._centre + self._half_range * self._advance()
         return action
+
+    def replica(self) -> "OnnxPolicy":
+        """Return a policy on the same network with a state of its own."""
+        other = copy.copy(self)
+        other._input = self._input.copy()
+        other.reset()
+        return other
+
+    def _timed_step(self) -> float:
+        """Run one step on zeros and return its time, s."""
+        start_s = time.monotonic()
+        self.step(np.zeros(len(OBSERVATION), np.float32), np.zeros(len(REACH_GOAL), np.float32))
+        return time.monotonic() - start_s
 
     def _advance(self) -> Array:
         """Run the network on `_input`, carry its state, return its action [2] in -1..1."""

@@ -1,5 +1,6 @@
 """Runners of policies: the control loop receives an outcome in time, even if the policy fails or hangs."""
 
+import math
 import threading
 import time
 from typing import NamedTuple
@@ -17,8 +18,13 @@ class PolicyOutcome(NamedTuple):
     duration_ns: int  # as the caller saw it
 
 
+def late(name: str, did: str, budget_s: float) -> str:
+    """Return the fault of a late step; `did` states what the policy did instead."""
+    return f"late: policy '{name}' {did}; its budget is {budget_s * 1e3:.0f} ms"
+
+
 class PolicyRunner:
-    """Runner of one policy. No method raises or waits longer than the policy's budget.
+    """Runner of one policy. No method raises.
 
     Callers may only read the `spec` of `policy`.
     """
@@ -75,13 +81,24 @@ class PolicyRunner:
 
 
 class InlineRunner(PolicyRunner):
-    """Runner in the caller's thread without a budget, for repeatable lockstep runs."""
+    """Runner in the caller's thread: a step that took longer than `budget_s` counts as late afterwards.
+
+    Without a budget it serves repeatable lockstep runs.
+    """
+
+    def __init__(self, policy: Policy, budget_s: float = math.inf) -> None:
+        super().__init__(policy)
+        self._budget_s = budget_s
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step, which takes as long as the policy needs."""
         start_ns = time.monotonic_ns()
         action, fault = self._call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
-        return PolicyOutcome(action, fault, time.monotonic_ns() - start_ns)
+        duration_ns = time.monotonic_ns() - start_ns
+        if fault is None and duration_ns > self._budget_s * 1e9:
+            took = f"answered after {duration_ns / 1e6:.0f} ms"
+            return PolicyOutcome(None, late(self._name, took, self._budget_s), duration_ns)
+        return PolicyOutcome(action, fault, duration_ns)
 
 
 class ThreadRunner(PolicyRunner):
@@ -133,11 +150,8 @@ class ThreadRunner(PolicyRunner):
 
     def _late(self, since_ns: int, start_ns: int) -> PolicyOutcome:
         now_ns = time.monotonic_ns()
-        fault = (
-            f"late: policy '{self._name}' has not answered for {(now_ns - since_ns) / 1e6:.0f} ms; "
-            f"its budget is {self._budget_s * 1e3:.0f} ms"
-        )
-        return PolicyOutcome(None, fault, now_ns - start_ns)
+        did = f"has not answered for {(now_ns - since_ns) / 1e6:.0f} ms"
+        return PolicyOutcome(None, late(self._name, did, self._budget_s), now_ns - start_ns)
 
     def _work(self) -> None:
         while True:

@@ -252,6 +252,15 @@ def test_all_steps_run_on_one_separate_thread():
     assert threading.get_ident() not in seen
 
 
+def test_an_inline_step_beyond_its_budget_is_late_afterwards(monkeypatch):
+    now_ns = iter((0, 20_000_000, 0, 20_000_001))
+    monkeypatch.setattr(time, "monotonic_ns", lambda: next(now_ns))
+    runner = InlineRunner(Scripted(), budget_s=0.02)
+    assert runner.step(OBSERVATION, GOAL).fault is None
+    fault = "late: policy 'scripted' answered after 20 ms; its budget is 20 ms"
+    assert runner.step(OBSERVATION, GOAL) == (None, fault, 20_000_001)
+
+
 def test_the_duration_of_a_step_is_measured(run, monkeypatch):
     now_ns = iter(range(100, 1000, 7))
     monkeypatch.setattr(time, "monotonic_ns", lambda: next(now_ns))

@@ -15,6 +15,7 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
+from softarm.daemon.runtime.rehearsal import Rehearsal
 from softarm.daemon.runtime.service import Notifier
 from softarm.daemon.runtime.wakeup import PunctualSelector
 from softarm.daemon.stop.latch import LatchKeeper
@@ -25,8 +26,9 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 log = logging.getLogger(__name__)
 
 PERIOD_NS = round(1e9 / CONTROL_RATE_HZ)
-# Busy wait before a tick: on a core that has just left its idle state a tick takes twice as long.
-AWAKE_NS = 300_000
+# Time between waking up and the deadline: a rehearsal, then a busy wait, so that core and caches stay awake.
+AWAKE_NS = 1_500_000
+REHEARSAL_NS = 750_000  # left before the deadline; otherwise there is no rehearsal
 # Garbage is collected only if this much of the period is left.
 COLLECT_SLACK_NS = 15_000_000
 # Every so many collections is a full one; the others skip objects that survived two, such as a connection.
@@ -45,6 +47,7 @@ class ControlLoop:
         notifier: Notifier,
         latch: LatchKeeper | None = None,
         realtime_priority: int = 0,
+        rehearsal: Rehearsal | None = None,
     ) -> None:
         self._controller = controller
         self._devices = devices
@@ -53,6 +56,8 @@ class ControlLoop:
         self._notifier = notifier
         self._latch = latch
         self._priority = realtime_priority
+        self._rehearsal = rehearsal
+        self._previous: tuple[Inputs, Outputs, dict[int, PolicyRunner]] | None = None  # tick to be rehearsed
         self._thread = threading.Thread(target=self._main, name="control", daemon=True)
         self._stop = threading.Event()
         self._collections = 0
@@ -84,15 +89,22 @@ class ControlLoop:
         try:
             deadline = time.monotonic_ns() + PERIOD_NS
             while not self._stop.is_set():
-                await self._sleep_until(deadline)
+                while (left := deadline - AWAKE_NS - time.monotonic_ns()) > 0:
+                    await asyncio.sleep(left * 1e-9)
+                self._rehearse(deadline)
+                while time.monotonic_ns() < deadline:
+                    await asyncio.sleep(0)
                 deadline = self._tick(deadline)
         finally:
             gc.enable()
             await self._stop_devices()
 
-    async def _sleep_until(self, deadline_ns: int) -> None:
-        while (left := deadline_ns - time.monotonic_ns()) > 0:
-            await asyncio.sleep(max(0, left - AWAKE_NS) * 1e-9)
+    def _rehearse(self, deadline_ns: int) -> None:
+        """Rehearse the tick unless time is short; requests are repeated in any case, since they change the state."""
+        if self._rehearsal is None or self._previous is None:
+            return
+        if deadline_ns - time.monotonic_ns() > REHEARSAL_NS or self._previous[0].requests:
+            self._rehearsal.tick(*self._previous)
 
     def _tick(self, deadline_ns: int) -> int:
         """Read, decide and write; return the next deadline."""
@@ -108,6 +120,7 @@ class ControlLoop:
         newest = next((each.t_capture_ns for each in reversed(inputs.mocap) if each.t_capture_ns <= written), None)
         timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
         self.snapshot, self.problems = outputs, inputs.problems
+        self._previous = (inputs, outputs, runners) if self._failed is None else None
         if self._latch is not None:
             self._latch.note(None if outputs.estop is EStop.CLEAR else outputs.last_stop)
         for number, runner in runners.items():

@@ -107,7 +107,7 @@ class LatchKeeper:
         self._thread.start()
 
     def note(self, reason: str | None) -> None:
-        """Set the reason for the current stop, or None. Called by the control loop in every tick; never blocks."""
+        """Set the reason for the current stop, or None. Called in every tick, and by the stop port; never blocks."""
         if reason == self._noted.reason:
             return
         self._noted, self._since_s = Stop(reason, None if reason is None else self._wall()), self._clock()

@@ -9,7 +9,7 @@ import weakref
 import pytest
 
 from softarm.daemon.control.inbox import Inbox
-from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.control.records import EStop, Inputs, Mode, Request
 from softarm.daemon.runtime import loop as control_loop
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.loop import PERIOD_NS, ControlLoop
@@ -52,7 +52,7 @@ class Loop:
     problem: str | None = None  # of the recorder
     dropped = 0
 
-    def __init__(self, controller=None, **stop_errors):
+    def __init__(self, controller=None, rehearsal=None, **stop_errors):
         robot = InProcessRobot(SimulatedBody(), time.monotonic_ns())
         parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
         self.devices = Devices(**parts)
@@ -62,7 +62,12 @@ class Loop:
         self.before_tick = {}
         self._ticked = threading.Condition()
         self.loop = ControlLoop(
-            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, self, self
+            controller or Controller(Config(), InlineRunner(Hold())),
+            self.devices,
+            self.inbox,
+            self,
+            self,
+            rehearsal=rehearsal,
         )
 
     def good_tick(self, _now_ns):
@@ -99,6 +104,32 @@ def test_the_loop_arms_on_request_and_writes_every_tick():
     assert loop.devices.rail.written[0] == (False, 0.0)
     assert (True, 0.0) in loop.devices.rail.written
     assert abs(len(loop.devices.rail.written) - len(loop.ticks)) <= 1
+
+
+class Rehearsed(list):
+    """Rehearsal that stores what it is asked to repeat."""
+
+    def tick(self, inputs, outputs, runners):
+        self.append((inputs, outputs))
+
+
+def test_a_tick_is_rehearsed_before_the_next_one():
+    rehearsed = Rehearsed()
+    with Loop(rehearsal=rehearsed) as loop:
+        loop.until(lambda outputs: len(rehearsed) >= 3)
+    assert all(inputs.t_ns == outputs.t_ns for inputs, outputs in rehearsed)
+    ticks = [outputs.tick for _, outputs in rehearsed]
+    assert ticks == sorted(set(ticks))
+
+
+def test_without_time_only_requests_are_rehearsed():
+    rehearsed = Rehearsed()
+    loop = Loop(rehearsal=rehearsed).loop
+    loop._rehearse(time.monotonic_ns() + PERIOD_NS)  # before the first tick
+    for requests in ((), (Request(1, "arm"),)):
+        loop._previous = (Inputs(0, requests=requests), None, {})
+        loop._rehearse(time.monotonic_ns())
+    assert [inputs.requests for inputs, _ in rehearsed] == [(Request(1, "arm"),)]
 
 
 class Cycle:

@@ -45,9 +45,9 @@ def stopping(stalled):
 
 
 @contextmanager
-def way(loop, config: Api | None = None, sessions: Sessions | None = None):
+def way(loop, config: Api | None = None, sessions: Sessions | None = None, keep=None):
     others = set(threading.enumerate())  # another test's daemon may still be stopping
-    made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot, sessions=sessions)
+    made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot, sessions=sessions, keep=keep)
     port = made.start()
     try:
         yield port
@@ -79,9 +79,11 @@ def test_a_stop_is_answered_once_a_tick_confirms_it(stopping):
 
 def test_a_hung_loop_is_reported_and_the_stop_stays_in_the_inbox(stopping):
     stopping.ticks = False
-    with way(stopping) as port:
+    kept = []
+    with way(stopping, keep=kept.append) as port:
         status, said = ask(port)
     assert status == 503
+    assert kept == [listener.HUNG]  # the next daemon starts stopped
     assert said["reasons"][0] == "stop: the control loop did not answer within 0.5 s"
     assert "use the emergency-stop button" in said["detail"]
     assert [post.request.kind for post in stopping.inbox.take()] == ["stop"]

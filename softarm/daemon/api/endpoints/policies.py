@@ -13,10 +13,9 @@ from softarm.daemon.api.refusals import Refused, answers, json_response
 from softarm.daemon.api.requests import Requests
 from softarm.daemon.api.status import RequestAnswer, StatusView
 from softarm.daemon.api.workers import Workers
-from softarm.policies import registry, trial
+from softarm.policies import registry, trial, trusted
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
-from softarm.policies.runner import ThreadRunner
 from softarm.schemas.config import Config
 from softarm.schemas.rest import PoliciesAnswer, PolicyAnswer, PolicyBody
 
@@ -72,7 +71,7 @@ class PolicyEndpoints:
     ) -> Response:
         """Change the policy. It is loaded and tried in the background, then swapped between two ticks."""
         policy = await self._loading.run(f"loading the policy '{body.name[:40]}'", lambda: self._load(body.name))
-        runner = ThreadRunner(policy, self._budget_s)
+        runner = trusted.runner(policy, self._budget_s)
         try:
             return await self._requests.post(request, "policy", policy=body.name, runner=runner)
         except Refused as refused:
