@@ -27,7 +27,7 @@ class Quantity(NamedTuple):
 
 
 class Need(NamedTuple):
-    """What a target needs, by quantity: the value that reaches it, or None if the largest one does not."""
+    """Need of a target: by quantity, the value that reaches it, or None if the largest one does not."""
 
     target_m: Array  # [2]
     closest_m: float  # today
