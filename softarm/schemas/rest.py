@@ -208,7 +208,7 @@ JobKind = Literal["excite", "diagnose", "replay"]
 
 
 class JobEntry(Strict):
-    """A job."""
+    """Job as the dashboard shows it."""
 
     number: int
     kind: JobKind

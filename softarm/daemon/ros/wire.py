@@ -1,6 +1,6 @@
 """Keys, liveliness tokens and attachments of rmw_zenoh.
 
-Format: ros2/rmw_zenoh, `docs/design.md`, `liveliness_utils.cpp` and `attachment_helpers.cpp`.
+Format: the design document, liveliness_utils.cpp and attachment_helpers.cpp of ros2/rmw_zenoh.
 """
 
 import hashlib

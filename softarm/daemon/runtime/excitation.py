@@ -73,7 +73,7 @@ class Excitation:
         return Done((f"played {goal.time_s:.1f} s", f"recorded {log}"), log)
 
     def end(self) -> None:
-        """Cancel the goal."""
+        """Cancel the goal of the excitation."""
         self._ended.set()
 
     def _play(self, length_s: float, progress: Progress) -> GoalStatus:

@@ -101,7 +101,7 @@ class VerbProcess:
         return Ended(code, lines, last)
 
     def end(self) -> None:
-        """End the process."""
+        """End the process of the verb."""
         self._ended = True
         if self._process is not None:
             with suppress(OSError):
