@@ -171,14 +171,18 @@ def block(typingctx, memory, number, lanes):
 
 
 def _row(context, builder, memory_type, memory, row, vector):
-    """Return a pointer to a row, as a vector."""
-    start = builder.mul(row, ir.Constant(row.type, memory_type.stride))
+    """Return a pointer to a row of a block or of a flat array, as a vector."""
+    if isinstance(memory_type, types.Array):
+        memory, stride = context.make_array(memory_type)(context, builder, memory).data, vector.width
+    else:
+        stride = memory_type.stride
+    start = builder.mul(row, ir.Constant(row.type, stride))
     return builder.bitcast(builder.gep(memory, [start]), _llvm(vector).as_pointer())
 
 
 @intrinsic
 def load(typingctx, memory, row, lanes):
-    """Read a row of a block."""
+    """Read a row of a block or of a flat array."""
     vector = Vector(memory.dtype, len(lanes))
 
     def build(context, builder, sig, args):
@@ -191,7 +195,7 @@ def load(typingctx, memory, row, lanes):
 
 @intrinsic
 def store(typingctx, memory, row, lanes, value):
-    """Write a row of a block; a scalar goes to every lane."""
+    """Write a row of a block or of a flat array; a scalar goes to every lane."""
     vector = Vector(memory.dtype, len(lanes))
 
     def build(context, builder, sig, args):

@@ -29,14 +29,15 @@ def reached(monkeypatch):
     return number
 
 
-def test_an_entry_is_added_then_reproduced_under_any_name(reached, tmp_path):
+def test_an_entry_is_added_then_reproduced_under_any_name(reached, monkeypatch, tmp_path):
+    monkeypatch.setattr("sys.argv", ["/bin/softarm", "evaluate", "reach", "pid"])
     board, mine = tmp_path / "board.json", tmp_path / "mine.onnx"
     shutil.copy(MODELS / "reach.onnx", mine)
     added = run("reach", "pid", "--leaderboard", board, "--workers", 1)
     assert (added.exit_code, "reach: added\npid: added" in added.output) == (0, True), added.output
     (entry, pid) = json.loads(board.read_text())["entries"]
     assert (entry["name"], pid["sha256"], entry["results"]["all"]["of"]) == ("reach", [], 162)
-    assert entry["command"].startswith("softarm ")
+    assert entry["command"] == "softarm evaluate reach pid"
     before = board.read_bytes()
     again = run(mine, "--leaderboard", board, "--workers", 1)
     assert "mine: reproduced, flight count by flight count" in again.output

@@ -109,7 +109,6 @@ def diagnose(
     leaves(NOTHING)
     with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
-    written = []
     stage_files = [path for path in inputs if path.suffix in TABLES]
     patched = None
     if mjcf is not None:
@@ -119,21 +118,19 @@ def diagnose(
     with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
-            written.append(json_file)
         if report_file is not None:
             report.write(result, report_file)
-            written.append(report_file)
         if patch_file is not None and patched is not None:
             files.write_text(patch_file, patched)
-            written.append(patch_file)
         if limits_file is not None:
             write_limits(inputs, limits_file, result.verdict)
-            written.append(limits_file)
+    places["--patch"] = patch_file if patched is not None else None
+    written = [str(place) for place in places.values() if place is not None]
     show(result, json_file)
-    if patch_file is not None and patch_file not in written:
+    if patch_file is not None and patched is None:
         click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)
     if written:
-        click.echo(f"wrote {', '.join(map(str, written))}")
+        click.echo(f"wrote {', '.join(written)}")
 
 
 def _diagnose_all(inputs: tuple[Path, ...], options: "Options", workers: Workers) -> None:

@@ -1,7 +1,6 @@
 """`softarm evaluate`: how often policies reach their targets, flown by the real control loop."""
 
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.learn.choice import Choice
+from softarm.cli.learn.compare import compare, worst
 from softarm.cli.learn.film import film
 from softarm.cli.shared.completion import policies_and_files
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
@@ -22,7 +22,6 @@ from softarm.cli.shared.options import (
     load_config,
     model_option,
     typed,
-    write,
     write_json,
 )
 from softarm.cli.shared.printing import print_table
@@ -31,7 +30,6 @@ from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.evaluation.entries import Entry
-    from softarm.evaluation.leaderboard import Row
     from softarm.schemas.config import Config
     from softarm.schemas.model import Model
 
@@ -103,7 +101,7 @@ def evaluate(**chosen: Any) -> None:
         tests = _tests(choice)
         found = _entries(choice, tests, config)
         if choice.faults:
-            _worst(choice, found, config)
+            worst(choice, found, config)
             return
         wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
         compared = wanted or _needs_table(found)
@@ -111,7 +109,7 @@ def evaluate(**chosen: Any) -> None:
             raise click.UsageError(f"{wrong[0]} goes with a comparison: --all, --test, --report or several policies")
         write_film = None if choice.film is None else film(choice.film, choice.target, found, tests, config)
         if compared:
-            _compare(choice, found, tests, config)
+            compare(choice, found, tests, config)
         else:
             _evaluate(choice, found[0], config, model)
         if write_film is not None:
@@ -155,50 +153,6 @@ def _needs_table(found: "Sequence[Entry]") -> bool:
     from softarm.evaluation.entries import CEILING
 
     return len(found) > 1 or found[0].name == CEILING
-
-
-def _compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
-    from softarm.evaluation import leaderboard, page, table
-    from softarm.schemas.config import Config
-
-    if choice.leaderboard is not None:
-        leaderboard.load(choice.leaderboard)
-        if (config.limits, config.goals) != (Config().limits, Config().goals):
-            raise ValueError("--leaderboard: results need the default limits and goals: omit both in --config")
-    command = shlex.join(["softarm", *sys.argv[1:]])
-    if choice.keep is not None:
-        leaves(f"finished jobs are kept in {choice.keep}; the same command continues")
-    result = table.compare(found, choice.workers, tests, config, choice.keep)
-    click.echo(page.markdown(result), nl=False)
-    write_json(choice.json_file, result)
-    if choice.report is not None:
-        write(choice.report, page.html(result, command))
-    if choice.leaderboard is not None:
-        _rank(choice.leaderboard, leaderboard.rows(result, found, command))
-
-
-def _rank(file: Path, rows: "list[Row]") -> None:
-    """Add rows to a leaderboard, or end the command with exit code 1 if an entry is not reproduced."""
-    from softarm.evaluation import leaderboard
-
-    before = leaderboard.load(file)
-    board, sentences, same = leaderboard.merged(before, rows)
-    click.echo("\n".join(sentences))
-    if board != before:
-        write(file, leaderboard.text(board))
-    if not same:
-        fail(f"{file}: not every entry was reproduced; check revision and configuration")
-
-
-def _worst(choice: Choice, found: "Sequence[Entry]", config: "Config") -> None:
-    """Print the success with each strong fault, and the worst. Raises ValueError without the independent robot."""
-    from softarm.evaluation import faults
-    from softarm.evaluation import tests as known
-
-    known.check("held_back")
-    result = faults.measure(found, choice.workers, config)
-    print_table(*faults.lines(result), "targets reached from rest / in mid-swing, %")
-    write_json(choice.json_file, result)
 
 
 def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:
