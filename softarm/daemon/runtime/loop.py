@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 
 PERIOD_NS = round(1e9 / CONTROL_RATE_HZ)
 # Time between waking up and the deadline: a rehearsal, then a busy wait, so that core and caches stay awake.
-AWAKE_NS = 1_500_000
-REHEARSAL_NS = 750_000  # left before the deadline; otherwise there is no rehearsal
+AWAKE_NS = 2_500_000
+REHEARSAL_NS = 1_000_000  # left before the deadline; otherwise there is no rehearsal
 # Garbage is collected only if this much of the period is left.
 COLLECT_SLACK_NS = 15_000_000
 # Every so many collections is a full one; the others skip objects that survived two, such as a connection.
