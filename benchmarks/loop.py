@@ -1,8 +1,8 @@
 """Measure how punctual the control loop is on the twin, alone and with its API hammered.
 
-The figures come from the daemon's log: every tick carries its lateness and the times of its parts. Twin and daemon are
-processes with real-time scheduling, the clients ordinary ones, all on the same cores. A bare loop, which only sleeps to
-its deadlines with the same priority, runs next to them; its lateness is the machine's share.
+The figures come from the daemon's log: every tick carries its lateness and the times of its parts. Twin, daemon and the
+clients are separate processes on the same cores. A bare loop, which only sleeps to its deadlines with the same
+priority, runs next to them; its lateness is the machine's share.
 
     python -m benchmarks.loop --seconds 60 --json FILE
 """
@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import gc
 import multiprocessing
-import os
 import random
 import select
 import struct
@@ -45,8 +44,6 @@ def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
 
     Raises SoftwareInTheLoopError if twin or daemon do not start.
     """
-    # Real devices do not wait for other programs; the clients of the API do.
-    realtime.outrank_other_programs(Config().control.realtime_priority)
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / "bare"
         with beside(bare_loop, bare), SoftwareInTheLoop(Path(folder)) as sil:
@@ -121,8 +118,7 @@ def _spread_ms(values_ns: Sequence[float]) -> dict[str, float]:
 
 
 def run_async(work: Callable[..., Coroutine[Any, Any, None]], *arguments: object) -> None:
-    """Run a coroutine function of a module as an ordinary program, for `beside`."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    """Run a coroutine function of a module, for `beside`."""
     asyncio.run(work(*arguments))
 
 
