@@ -19,6 +19,7 @@ from benchmarks import results
 from benchmarks.markdown import markdown
 from softarm.common import files
 from softarm.common.processes import bar
+from softarm.diagnosis.blind.cases import PROGRAMME
 from softarm.evaluation.closing.fly import fly
 from softarm.evaluation.closing.outcomes import TITLES
 from softarm.evaluation.robots import with_faults
@@ -45,23 +46,13 @@ SINGLE = (
 # A fault of the rail with one of another stage.
 PAIRS = tuple(zip(SINGLE[:5], SINGLE[5:], strict=True))
 CASES = (*((fault,) for fault in SINGLE), *PAIRS)
-KINDS = (
-    "seed",
-    "pressure-staircase",
-    "free-decay",
-    "pressure-multisine",
-    "rail-steps",
-    "rail-chirp",
-    "rail-multisine",
-    "both",
-)
 LEVEL_FLIGHTS = 324
 NEAR = 0.03  # of the level without the fault
 
 
 def record_campaign(folder: Path, robot: RobotParameters) -> None:
     """Record eight trials of a robot, and the nominal model."""
-    for number, kind in enumerate(KINDS, 1):
+    for number, kind in enumerate(PROGRAMME, 1):
         of = EXCITATIONS[kind]
         record(
             of.at, folder / f"trial-{number}", of.duration_s, robot, 1000 + number, kind=kind, held=not of.moves_rail
