@@ -1,19 +1,12 @@
 """Tables of the planners: what missed targets need, plans beside IPOPT, and the time of `mppi`."""
 
 from benchmarks.markdown import Read, markdown
+from softarm.training.trajectory import needs as needed
 
 
 def needs(read: Read) -> str:
     """Return the smallest change of each quantity that reaches each missed target."""
-    found = read("needs")
-    rows = [("nearest today (m)", *(f"{row['closest_m']:.3f}" for row in found["rows"]))]
-    for name, (unit, now, most) in found["quantities"].items():
-        values = (row["values"][name] for row in found["rows"])
-        needed = (f"not by {most:g}" if value is None else f"{value:.3g}" for value in values)
-        rows.append((f"{name} ({unit}), now {now:g}", *needed))
-    rows.append(("nearest without braking law (m)", *(f"{row['closest_without_law_m']:.3f}" for row in found["rows"])))
-    targets = (row["target_m"] for row in found["rows"])
-    return markdown(("needed for y, z (m)", *(f"{y:.2f}, {z:.2f}" for y, z in targets)), rows)
+    return markdown(*needed.lines(read("needs")))
 
 
 def planning(read: Read) -> str:

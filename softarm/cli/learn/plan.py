@@ -121,19 +121,9 @@ def _show(found: "list[Row]") -> None:
 def _show_needs(targets_m: "Array", model: "Model | None", seed: int, json_file: Path | None) -> None:
     """Print and write the smallest change of each quantity that reaches each missed target."""
     from softarm.common.processes import bar
-    from softarm.training.trajectory.needs import QUANTITIES, of_missed
+    from softarm.training.trajectory import needs
 
     with bar("searching", None) as shown:
-        found = of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing))
-    lines = [("nearest today (m)", *(f"{need.closest_m:.3f}" for need in found))]
-    for name, each in QUANTITIES.items():
-        needed = (_needed(need.values[name], each.most) for need in found)
-        lines.append((f"{name} ({each.unit}), now {each.now:g}", *needed))
-    lines.append(("nearest without braking law (m)", *(f"{need.closest_without_law_m:.3f}" for need in found)))
-    print_table(("needed for y, z (m)", *(f"{y:.2f}, {z:.2f}" for y, z in (need.target_m for need in found))), lines)
-    rows = [need._asdict() | {"target_m": [round(float(each), 6) for each in need.target_m]} for need in found]
-    write_json(json_file, {"rows": rows, "quantities": {name: each[:3] for name, each in QUANTITIES.items()}})
-
-
-def _needed(value: float | None, most: float) -> str:
-    return f"not by {most:g}" if value is None else f"{value:.3g}"
+        found = needs.figures(needs.of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing)))
+    print_table(*needs.lines(found))
+    write_json(json_file, found)

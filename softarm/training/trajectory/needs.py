@@ -1,7 +1,7 @@
 """Smallest change of one quantity of the robot that brings a missed target into reach, by bisection."""
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,6 +94,24 @@ def of_missed(
         Need(target_m, float(today.closest_m[row]), {name: each[i] for name, each in values.items()}, float(free[i]))
         for i, (row, target_m) in enumerate(zip(missed, targets, strict=True))
     ]
+
+
+def figures(found: Sequence[Need]) -> dict[str, Any]:
+    """Return needs and quantities as JSON types."""
+    rows = [need._asdict() | {"target_m": [round(float(each), 6) for each in need.target_m]} for need in found]
+    return {"rows": rows, "quantities": {name: each[:3] for name, each in QUANTITIES.items()}}
+
+
+def lines(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the table of `figures`: its head with the targets, and a row per quantity."""
+    rows = [("nearest today (m)", *(f"{row['closest_m']:.3f}" for row in found["rows"]))]
+    for name, (unit, now, most) in found["quantities"].items():
+        values = (row["values"][name] for row in found["rows"])
+        needed = (f"not by {most:g}" if value is None else f"{value:.3g}" for value in values)
+        rows.append((f"{name} ({unit}), now {now:g}", *needed))
+    rows.append(("nearest without braking law (m)", *(f"{row['closest_without_law_m']:.3f}" for row in found["rows"])))
+    targets = (row["target_m"] for row in found["rows"])
+    return ("needed for y, z (m)", *(f"{y:.2f}, {z:.2f}" for y, z in targets)), rows
 
 
 def bisected(
