@@ -95,7 +95,7 @@ def names(inputs: Sequence[Path]) -> dict[str, Path]:
         raise TrialError(f"{twice[0]}: is given twice; name each input once")
     parts = 1
     while True:
-        found = ["-".join(path.parts[-parts:]) for path in whole]
+        found = ["-".join(path.parts[1:][-parts:]) for path in whole]  # without the root
         if len(set(found)) == len(found) and INDEX not in found:
             return dict(zip(found, inputs, strict=True))
         parts += 1

@@ -124,6 +124,7 @@ def test_names_are_the_parts_of_the_paths_that_differ():
     assert list(many.names(given)) == ["a-x", "b-x", "b-rig", "b-y.mcap"]
     assert list(many.names(given[1:])) == ["x", "rig", "y.mcap"]
     assert list(many.names([Path("a/index")])) == ["a-index"]
+    assert list(many.names([Path("/data/x"), Path("/mnt/data/x")])) == ["data-x", "mnt-data-x"]
     with pytest.raises(TrialError, match="is given twice"):
         many.names([Path("b/rig"), Path("b/rig/stage.yaml")])
 
