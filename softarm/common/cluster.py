@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -101,7 +102,7 @@ def _received(ray: Any, task: Any) -> Any:
 
 def _on_node(function: Callable[[J], R], keyed: tuple[str, J], parcel: Parcel) -> tuple[R | Failure, dict[str, bytes]]:
     """Run a job in a Ray worker, which ends with the driver's cluster."""
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    _watch(os.getppid())
     if parcel.code != code_version():
         raise ClusterError(f"this node has softarm {code_version()}; install that of the driver, {parcel.code}")
     with _surroundings(parcel) as is_shared:
@@ -142,6 +143,12 @@ def unpack(content: dict[str, bytes]) -> None:
     for name, each in content.items():
         Path(name).parent.mkdir(parents=True, exist_ok=True)
         files.write_bytes(name, each)
+
+
+@lru_cache
+def _watch(parent: int) -> None:
+    """Watch the worker's parent from a thread, which is the same for all jobs of the worker."""
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
