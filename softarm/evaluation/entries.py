@@ -51,6 +51,12 @@ def given(policies: Sequence[str], config: Config | None = None) -> list[Entry]:
     return [entry for group in rows.values() for entry in group]
 
 
+def files_of(entry: Entry, config: Config | None) -> list[Path]:
+    """Return the files that a row reads: of its policy, and of the policies of the configuration."""
+    options = [str(option) for policy in (config or Config()).policies.values() for option in policy.options.values()]
+    return [path for path in (entry.file, *map(Path, options)) if path is not None and path.is_file()]
+
+
 def every(
     runs: Path | None = None, names: Sequence[str] = (), only_runs: bool = False, config: Config | None = None
 ) -> list[Entry]:

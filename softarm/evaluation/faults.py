@@ -5,7 +5,7 @@ from functools import partial
 from typing import TypedDict
 
 from softarm.common.batch import Work, Workers, run
-from softarm.evaluation.entries import Entry
+from softarm.evaluation.entries import Entry, files_of
 from softarm.evaluation.robots import with_faults
 from softarm.evaluation.runner import fly, load
 from softarm.reality.parameters import RobotParameters
@@ -76,7 +76,7 @@ def measure(
         JobsFailed: A policy could not be flown.
     """
     todo = {f"{entry.name}, {fault}": (entry, fault) for fault in (NO_FAULT, *faults) for entry in entries}
-    work = Work(partial(_fly, config=config), reads=lambda job: () if job[0].file is None else (job[0].file,))
+    work = Work(partial(_fly, config=config), reads=lambda job: files_of(job[0], config))
     done = run("flying", work, todo, workers).complete()
     return {fault: {entry.name: done[f"{entry.name}, {fault}"] for entry in entries} for fault in (NO_FAULT, *faults)}
 

@@ -17,7 +17,7 @@ from softarm.common.batch import Kept, Work, Workers, run
 from softarm.common.files import sha256_of
 from softarm.common.revision import code_version
 from softarm.common.shares import Share, share
-from softarm.evaluation.entries import CEILING, Entry
+from softarm.evaluation.entries import CEILING, Entry, files_of
 from softarm.evaluation.runner import Robot, fly, load
 from softarm.evaluation.tests import COLUMNS, TESTS, flies_the_targets, robot, scenarios, title
 from softarm.schemas.config import Config
@@ -150,9 +150,8 @@ def _key(job: Job) -> str:
 
 def _files(job: Job, config: Config | None) -> list[Path]:
     """Return the files that a job reads: of its policy, of its model and of the configuration."""
-    options = [str(option) for policy in (config or Config()).policies.values() for option in policy.options.values()]
-    named = [Path(name) for name in (job.test.partition("@")[2], *options) if name]
-    return [path for path in (job.entry.file, *named) if path is not None and path.is_file()]
+    model = Path(job.test.partition("@")[2])
+    return [*files_of(job.entry, config), *([model] if model.is_file() else [])]
 
 
 def _origin(job: Job, config: Config | None) -> dict[str, object]:

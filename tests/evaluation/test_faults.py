@@ -2,11 +2,13 @@
 
 import pytest
 
-from softarm.common.batch import Workers
+from softarm.common.batch import Batch, Workers
 from softarm.evaluation import faults
 from softarm.evaluation.entries import Entry
 from softarm.evaluation.robots import with_faults
+from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import Config
 from softarm.schemas.flights import CART_STARTS_M, Flight
 from softarm.schemas.goals import GoalStatus
 
@@ -51,6 +53,15 @@ def test_every_second_target_is_flown_from_rest_and_in_mid_swing(flown):
     assert {each.cart_start_m for each in rest} == set(CART_STARTS_M)
     assert all(each.swing is None for each in rest)
     assert all(each.swing is not None for each in swung)
+
+
+def test_the_files_of_the_configuration_travel_to_a_cluster(monkeypatch):
+    seen, file = [], MODELS / "reach.onnx"
+    config = Config.model_validate({"policies": {"mine": {"plugin": "onnx", "options": {"model": str(file)}}}})
+    monkeypatch.setattr(faults, "run", lambda text, work, jobs, workers: seen.append(work) or Batch())
+    with pytest.raises(KeyError):  # no job has run
+        faults.measure([Entry("mine")], config=config)
+    assert list(seen[0].reads((Entry("mine"), "none"))) == [file]
 
 
 def test_every_fault_is_one_of_the_independent_robot():
