@@ -84,12 +84,10 @@ def measure(
 def lines(found: dict[str, dict[str, Worst]]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the table: its head, and a row per fault, `rest / mid-swing` in percent and the stops, if any."""
     rows = [(fault, *map(_text, of.values())) for fault, of in found.items()]
-    names = next(iter(found.values()))
-    least = {
-        name: [min(share for fault, of in found.items() if fault != NO_FAULT for share in _shares(of[name]))]
-        for name in names
-    }
-    rows.append(("worst", *(f"{100 * share:.0f}" for (share,) in least.values())))
+    names = found[NO_FAULT]
+    strong = [of for fault, of in found.items() if fault != NO_FAULT]
+    least = (min(share for of in strong for share in _shares(of[name])) for name in names)
+    rows.append(("worst", *(f"{100 * share:.0f}" for share in least)))
     return ("fault", *names), rows
 
 
