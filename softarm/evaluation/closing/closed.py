@@ -11,6 +11,7 @@ from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing.fly import draw
 from softarm.evaluation.closing.outcomes import (
+    ADAPTIVE,
     HELD_OUT,
     NEW,
     NOMINAL,
@@ -65,9 +66,9 @@ class Closed:
         """Return a place by its key. Raises StopIteration if no flight took place there."""
         return next(place for place in self.places if place.key == key)
 
-    def of(self, policy: str, manner: str, place: str | None = None) -> Flights:
-        """Return a policy's flights that began at rest or in mid-swing, by default on the judging robot."""
-        flown = self.flown[policy, place or self.judged.key]
+    def of(self, policy: str, manner: str) -> Flights:
+        """Return a policy's flights on the judging robot that began at rest or in mid-swing."""
+        flown = self.flown[policy, self.judged.key]
         rest = np.array([draw(number).swing is None for number in range(flown.reached.size)], dtype=np.bool_)
         return flown.chosen(rest if manner == REST else ~rest)
 
@@ -85,7 +86,7 @@ class Closed:
 
     def seconds(self, name: str) -> tuple[float, float]:
         """Return the wall and processor seconds until a policy can fly, its flights of the comparison included."""
-        steps = {NEW: ("retrain", NEW)}.get(name, (name,)) + (() if name in ("old", "adaptive") else ("diagnose",))
+        steps = {NEW: ("retrain", NEW)}.get(name, (name,)) + (() if name in (OLD, ADAPTIVE) else ("diagnose",))
         taken = [self.spent[step] for step in steps if step in self.spent]
         return sum(each["wall_s"] for each in taken), sum(each["cpu_s"] for each in taken)
 

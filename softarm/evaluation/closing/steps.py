@@ -121,11 +121,11 @@ def _compared(
     known = closed.flown.get((OLD, judged.key), NONE)
     with timed(closed.spent, name), bar(f"flying {title}") as shown:
 
-        def report(draws: int, share: float) -> None:
+        def show(draws: int, share: float) -> None:
             shown.report(f"flying {title}, {draws} draws", share)
 
         config = closed.rail.patched
-        old, new = compare(closed.policy, policy, judged.robot, config, options.draws, known, report)
+        old, new = compare(closed.policy, policy, judged.robot, config, options.draws, known, show)
     closed = replace(closed, flown={**closed.flown, (OLD, judged.key): old, (name, judged.key): new}).with_task()
     _write(closed, out)
     report_way(story.sentence(closed, name))

@@ -2,7 +2,7 @@
 
 from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed
-from softarm.evaluation.closing.outcomes import MANNERS, NEW, OLD, REPLANNED, TITLES, Flights
+from softarm.evaluation.closing.outcomes import MANNERS, NEW, OLD, REPLANNED, TITLES, WORTH, Flights
 from softarm.evaluation.closing.wires import Wires
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, el, join, prose, table
@@ -106,8 +106,9 @@ def _ways(closed: Closed) -> Html:
     note = (
         f"On {closed.judged.title}. Each flight is a draw: one of the paper's 54 targets, from rest or in mid-swing, "
         "the same for every policy. The real control loop flies; an unrequested stop is a failure. Flights end when a "
-        "policy is better, stops more often, or gains less than 5 %. The 95 % intervals are always valid: looking at "
-        f"them after each flight does not raise the error rate. The old policy is {closed.policy.stem}."
+        f"policy is better, stops more often, or gains less than {percent(WORTH)}. The 95 % intervals are always "
+        "valid: looking at them after each flight does not raise the error rate. "
+        f"The old policy is {closed.policy.stem}."
     )
     maps = el("div", *(_map(closed, name) for name in (OLD, *closed.ways)), class_="multiples maps")
     texts = (el("p", prose(text)) for text in sentences(closed))
