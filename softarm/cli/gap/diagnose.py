@@ -87,13 +87,13 @@ def diagnose(
     from softarm.diagnosis.many import Options, patch
 
     inputs = tuple(map(stage_of_folder, inputs))
-    stage = next((path for path in inputs if path.suffix in TABLES), None)
-    if data is not None and stage is None:
+    stages = [path for path in inputs if path.suffix in TABLES]
+    if data is not None and not stages:
         raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
-    if model_file is not None and out is None and stage is not None:
+    if model_file is not None and out is None and stages:
         raise click.UsageError(
-            f"--model is the simulator of the robot, but {stage} is another rig and holds its own nominal model; omit "
-            f"--model, and write the values under `model:` in {stage}"
+            f"--model is the simulator of the robot, but {stages[0]} is another rig and holds its own nominal model; "
+            f"omit --model, and write the values under `model:` in {stages[0]}"
         )
     refuse_misplaced(inputs)
     places = {"--json": json_file, "--report": report_file, "--patch": patch_file, "--limits": limits_file}
@@ -109,12 +109,11 @@ def diagnose(
     leaves(NOTHING)
     with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
-    stage_files = [path for path in inputs if path.suffix in TABLES]
     patched = None
     if mjcf is not None:
         patched = _mjcf_patch(mjcf, result, calibration)
-    elif patch_file is not None and len(stage_files) < 2:
-        patched = patch(result, stage_files[0] if stage_files else None, calibration)
+    elif patch_file is not None and len(stages) < 2:
+        patched = patch(result, stages[0] if stages else None, calibration)
     with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -128,7 +127,7 @@ def diagnose(
     written = [str(place) for place in places.values() if place is not None]
     show(result, json_file)
     if patch_file is not None and patched is None:
-        click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)
+        click.echo(f"{patch_file}: not written, {_no_patch(result, len(stages))}", err=True)
     if written:
         click.echo(f"wrote {', '.join(written)}")
 
