@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from softarm import __version__
+from softarm.common.files import sha256_of
 
 PACKAGE = Path(__file__).resolve().parents[1]
 CHECKOUT = PACKAGE.parent
@@ -58,7 +59,7 @@ def code_version(*packages: str, without: str = "") -> str:
     roots = [PACKAGE / name for name in packages or ("",)]
     found = sorted(path for root in roots for path in root.rglob("*") if path.suffix in _CODE)
     found = [path for path in found if without not in path.parts]
-    lines = [f"{path.relative_to(PACKAGE)} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in found]
+    lines = [f"{path.relative_to(PACKAGE)} {sha256_of(path)}" for path in found]
     return f"{__version__}+{hashlib.sha256(chr(10).join(lines).encode()).hexdigest()[:12]}"
 
 
