@@ -28,6 +28,8 @@ RETURN_SPEED_M_S = 0.1  # maximum speed of a required return
 CREEP_MAX_M_S = 0.1  # a larger lead is a ramp in progress
 BISECTIONS = 12  # of a 2 m/s range: 0.5 mm/s, always on the safe side
 INSTANT_S = 1e-6  # closer times count as one moment
+# A tuple: a union would be built at each of a tick's hundreds of checks.
+_NUMBERS = (float, int, np.generic)
 
 
 class Bounded(NamedTuple, Generic[Number]):
@@ -269,7 +271,7 @@ def _higher(one: Any, other: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, float | int | np.generic)
+    return isinstance(value, _NUMBERS)
 
 
 def _choose(condition: Any, one: Any, other: Any) -> Any:
