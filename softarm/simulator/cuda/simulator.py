@@ -46,10 +46,7 @@ class TensorSimulator:
         """
         overrides = overrides or {}
         self.variants = max((np.size(values) for values in overrides.values()), default=1)
-        # The CPU's block has the card's width only if there are as many robots.
-        copies = -(-LANES // self.variants)
-        repeated = {path: np.tile(np.broadcast_to(each, self.variants), copies) for path, each in overrides.items()}
-        packed = Simulator(model, copies * self.variants, physics_rate_hz, overrides=repeated)
+        packed = Simulator(model, self.variants, physics_rate_hz, overrides=overrides)
         table, self.active, self._substeps, self._substep_s = packed.prepare(step_s)
         self.robots, self.links, self.device = robots, packed.links, torch.device(device)
         self._at, self._lengths = kernel.rows((0,) * self.links), ((0,) * self.links, (0,) * LANES)
