@@ -81,8 +81,8 @@ def test_a_snapshot_restores_the_motion():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("active", [0, 543], ids=["seed", "every effect"])
-def test_the_kernel_compiles_for_a_card(active, monkeypatch):
+@pytest.mark.parametrize("model", MODELS, ids=["seed", "every effect"])
+def test_the_kernel_compiles_for_a_card(model, monkeypatch):
     pytest.importorskip("numba_cuda", reason="needs numba-cuda")
     from numba import types
     from numba.cuda import compiler, dispatcher
@@ -91,6 +91,7 @@ def test_the_kernel_compiles_for_a_card(active, monkeypatch):
         compute_capability = (9, 0)
 
     monkeypatch.setattr(dispatcher, "get_current_device", Card)
+    active = TensorSimulator(model, device="cpu").active
     signature = types.void(types.float32[:, ::1], types.int32, types.int32, types.float32)
     ptx, _ = compiler.compile_ptx(stepper.entries(5, active)[0], signature, cc=(9, 0))
     assert "st.global.f32" in ptx
