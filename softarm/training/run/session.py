@@ -173,11 +173,8 @@ class Session:
         steps = self.learner.frames
         self.frames += steps
         self.seconds += took
-        self.curve.append(
-            curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
-        )
-        error = self.learner.held_out_error(self.average)
-        self.curve[-1] = self.curve[-1]._replace(action_error=error)
+        figures = {**statistics._asdict(), "action_error": self.learner.held_out_error(self.average)}
+        self.curve.append(curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **figures))
         self.events.add(self.curve)
         if len(self.curve) % self.config.validate_every == 0:
             self._validate_and_save()
