@@ -13,6 +13,7 @@ from softarm.training.trajectory.problem import Array
 
 LEVELS = 5  # of the bisection: a 32nd of a quantity's range
 DRIVE = "rail.acceleration_limit"
+NOW = RailLimits()
 
 Robot = tuple[Model, Bounds]
 
@@ -37,7 +38,7 @@ class Need(NamedTuple):
 
 def _limits(**values: float) -> Bounds:
     # Values beyond the schema's bounds, which are those of today's rail.
-    return Bounds(RailLimits().model_copy(update=values))
+    return Bounds(NOW.model_copy(update=values))
 
 
 def _longer(model: Model, half_m: float) -> Robot:
@@ -47,8 +48,7 @@ def _longer(model: Model, half_m: float) -> Robot:
 
 def _stronger(model: Model, acceleration_m_s2: float) -> Robot:
     """Return a robot with a faster drive; the law's worst acceleration grows as much."""
-    limits = RailLimits()
-    surge = limits.surge_m_s2 + acceleration_m_s2 - limits.acceleration_max_m_s2
+    surge = NOW.surge_m_s2 + acceleration_m_s2 - NOW.acceleration_max_m_s2
     effects = model.effects | {DRIVE: {"acceleration": acceleration_m_s2}}
     return model.model_copy(update={"effects": effects}), _limits(surge_m_s2=surge)
 
@@ -56,9 +56,13 @@ def _stronger(model: Model, acceleration_m_s2: float) -> Robot:
 QUANTITIES = {
     "rail half-length": Quantity("m", RAIL_LIMIT_M, 0.41, _longer),
     "pressure": Quantity("kPa", PRESSURE_MAX_KPA, 36.0, lambda model, most: (model, Bounds(pressure_max_kpa=most))),
-    "cart speed": Quantity("m/s", 1.0, 2.0, lambda model, most: (model, _limits(velocity_max_m_s=most))),
-    "drive acceleration": Quantity("m/s^2", 6.0, 14.0, _stronger),
-    "guaranteed braking": Quantity("m/s^2", 1.7, 6.0, lambda model, most: (model, _limits(braking_m_s2=most))),
+    "cart speed": Quantity(
+        "m/s", NOW.velocity_max_m_s, 2.0, lambda model, most: (model, _limits(velocity_max_m_s=most))
+    ),
+    "drive acceleration": Quantity("m/s^2", NOW.acceleration_max_m_s2, 14.0, _stronger),
+    "guaranteed braking": Quantity(
+        "m/s^2", NOW.braking_m_s2, 6.0, lambda model, most: (model, _limits(braking_m_s2=most))
+    ),
 }
 
 
