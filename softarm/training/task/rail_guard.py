@@ -11,6 +11,12 @@ from softarm.schemas.config import DryveRail, RailLimits
 Array = NDArray[np.float32]
 
 
+def acting_ages_s(limits: RailLimits, period_s: float) -> list[float]:
+    """Return the ages in s, oldest first, of the commands that act from now on and until now, one each `period_s`."""
+    count = math.ceil(limits.latency_s / period_s - 1e-9) + 1
+    return [age * period_s for age in range(count, 0, -1)]
+
+
 class RailGuard:
     """Clamp of a batch's velocity commands by the braking law, with a memory of commands that still act."""
 
@@ -18,9 +24,9 @@ class RailGuard:
         """Prepare a clamp with a command every `period_s`, undelayed readings and the daemon's configuration."""
         limits = limits or RailLimits()
         self._law = limits.braking_law(DryveRail().hold_s).in_float32()
-        self._period_s = period_s
         self._velocity_max_m_s = limits.velocity_max_m_s
-        before = math.ceil(limits.latency_s / period_s - 1e-9) + 1  # that act from now on, and until now
+        self._ages_s = acting_ages_s(limits, period_s)
+        before = len(self._ages_s)
         self._sent: deque[Array] = deque((np.zeros(robots, dtype=np.float32) for _ in range(before)), maxlen=before)
 
     @property
@@ -44,8 +50,7 @@ class RailGuard:
     def apply(self, wanted_m_s: Array, position_m: Array, velocity_m_s: Array) -> Array:
         """Return commands that keep the carts inside the limits, float32 [R]."""
         wanted = np.clip(wanted_m_s, -self._velocity_max_m_s, self._velocity_max_m_s)
-        ages = range(len(self._sent), 0, -1)
-        sent = [(age * self._period_s, each) for age, each in zip(ages, self._sent, strict=True)]
+        sent = list(zip(self._ages_s, self._sent, strict=True))
         bounded = self._law.bound(wanted, position_m, velocity_m_s, sent=sent).velocity_m_s
         self._sent.append(bounded)
         return bounded.copy()

@@ -2,7 +2,6 @@
 
 # mypy: allow-untyped-defs
 import functools
-import math
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from softarm.schemas.config import DryveRail, RailLimits
 from softarm.simulator.cuda.stepper import launch, numba_cuda
+from softarm.training.task.rail_guard import acting_ages_s
 from softarm.training.task.traced import choose, source
 
 _KERNEL = """
@@ -29,9 +29,8 @@ class TensorGuard:
         """Prepare a clamp with a command every `period_s`; see `RailGuard`."""
         self._law = limits.braking_law(DryveRail().hold_s).in_float32()
         self._velocity_max_m_s = limits.velocity_max_m_s
-        before = math.ceil(limits.latency_s / period_s - 1e-9) + 1
-        self._ages_s = [age * period_s for age in range(before, 0, -1)]
-        self.sent_m_s = torch.zeros((before, robots), device=device)  # the newest last
+        self._ages_s = acting_ages_s(limits, period_s)
+        self.sent_m_s = torch.zeros((len(self._ages_s), robots), device=device)  # the newest last
         self._kernel = _compiled(self.kernel_source()) if device.type == "cuda" else None
 
     def reset(self, robots: Tensor) -> None:
