@@ -16,7 +16,6 @@ from softarm.policies.base import HIGH, LOW
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, REACH_GOAL, Observation, places
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
-from softarm.simulator.model_rows import idle_effects
 from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
@@ -77,8 +76,7 @@ class Environment:
         self._drawn: Draw = self.randomisation.draw(np.random.default_rng((seed, DIFFERENCES)), robots)
         self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz, overrides=self._drawn)
         # Effects at their neutral value need no sensors.
-        effects = self.simulator.model.effects.keys() - idle_effects(self.simulator.model)
-        effects |= {path.rpartition(".")[0] for path in self._drawn}
+        effects = self.randomisation.effects_with(self.simulator.model)
         distorted = any(name.startswith("mocap.") or name in SEEN_THROUGH for name in effects)
         self.sensors = Sensors(self.simulator, self._rng) if distorted else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas.model import Model
 from softarm.simulator.effects import EffectError, find, out_of_range
+from softarm.simulator.model_rows import idle_effects
 
 Draw = dict[str, NDArray[np.float64]]  # 'stage.effect.parameter' -> one value a robot, [R]
 
@@ -28,6 +30,10 @@ class Randomisation:
                     raise EffectError(out_of_range(effect, parameter, end))
             if not low <= high < np.inf:
                 raise ValueError(f"{path} has the range {low} to {high}; give a lower and a higher finite end")
+
+    def effects_with(self, model: Model) -> set[str]:
+        """Return the effects of a model that are not at their neutral value, and those that are drawn."""
+        return (model.effects.keys() - idle_effects(model)) | {path.rpartition(".")[0] for path in self.ranges}
 
     def draw(self, rng: np.random.Generator, robots: int) -> Draw:
         """Draw values for a number of robots; empty without ranges."""

@@ -15,7 +15,6 @@ from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.cuda.simulator import TensorSimulator
-from softarm.simulator.model_rows import idle_effects
 from softarm.training.task.environment import (
     ACTIONS,
     DIFFERENCES,
@@ -215,7 +214,7 @@ def _refuse(task: ReachTask, model: Model, randomisation: Randomisation) -> None
     if type(task) is not ReachTask:
         kind = type(task).__name__
         raise ValueError(f"task '{task.name}' is a {kind}; a graphics card runs ReachTask alone: choose device cpu")
-    effects = model.effects.keys() - idle_effects(model) | {path.rpartition(".")[0] for path in randomisation.ranges}
+    effects = randomisation.effects_with(model)
     sensors = sorted(name for name in effects if name.startswith(("mocap.", "clock.")) or name in SEEN_THROUGH)
     if sensors:
         raise ValueError(
