@@ -38,7 +38,7 @@ class TensorEnvironment:
     """Batch of robots at the reach task. One seeded generator of the device draws all random numbers."""
 
     restarts = True  # False: robots whose episode has ended stay as they are until `reset`
-    _tensors = ("_target", "_elapsed", "_sent", "_pose", "_rates", "_pressure")  # of a snapshot
+    _tensors = ("_target", "_elapsed", "_sent", "_pose", "_rates")  # of a snapshot
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class TensorEnvironment:
         self._guard = TensorGuard(robots, 1.0 / task.rate_hz, limits, self.device) if task.rail_guard else None
         self._low, self._half = self._there(LOW), self._there(0.5 * (HIGH - LOW))
         self._target, self._pose, self._rates = (torch.zeros((robots, k), device=self.device) for k in (2, 3, 3))
-        self._sent, self._pressure = torch.zeros((2, robots), device=self.device)
+        self._sent = torch.zeros(robots, device=self.device)
         self._elapsed = torch.zeros(robots, dtype=torch.int64, device=self.device)
         self._everyone = torch.ones(robots, dtype=torch.bool, device=self.device)
 
@@ -143,7 +143,6 @@ class TensorEnvironment:
         self._rates.masked_fill_(column, 0.0)
         self._sent.masked_fill_(which, 0.0)
         self._elapsed.masked_fill_(which, 0)
-        self._pressure.copy_(self.simulator.pressure_kpa)
 
     def _starts(self) -> Any:
         """Draw start states as `ReachTask.sample_starts` does."""
@@ -172,11 +171,10 @@ class TensorEnvironment:
                 torch.cat((simulator.cart_velocity_m_s.unsqueeze(1), simulator.tip_velocity_m_s()), dim=1)
             )
         self._pose.copy_(pose)
-        self._pressure.copy_(simulator.pressure_kpa)
 
     def _observe(self) -> Tensor:
         columns = dict(zip(SEEN, torch.cat((self._pose, self._rates), dim=1).unbind(1), strict=True))
-        columns |= {SENT: self._sent, PRESSURE: self._pressure}
+        columns |= {SENT: self._sent, PRESSURE: self.simulator.pressure_kpa}
         return torch.stack([*(columns[k] for k in range(len(columns))), *self._target.unbind(1)], dim=1)
 
     def _there(self, values: Any) -> Tensor:

@@ -56,7 +56,7 @@ def test_an_ended_episode_begins_again_within_the_ranges_of_the_task(device):
     assert (observation[:, -2:] != before[over]).all()
     for column, (low, high) in ((0, task.cart_start_m), (-2, task.target_y_m), (-1, task.target_z_m)):
         assert ((low <= observation[:, column]) & (observation[:, column] <= high)).all()
-    assert (array_of(environment._pressure) != 0.0).any()
+    assert (array_of(environment.simulator.pressure_kpa) != 0.0).any()
     assert (array_of(step.final_observation)[:, -2:] == before).all()
 
 
