@@ -78,10 +78,13 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
     done = batch.run("diagnosing", work, todo, workers, kept=kept)
     rows = []
     for name, source in todo.values():
-        failure = done.failures.get(name)
-        rows.append(_row(name, source, failure=failure.message) if failure else done.results[name]["row"])
+        if (failure := done.failures.get(name)) is not None:
+            rows.append(_row(name, source, failure=failure.message or failure.kind))
+        else:
+            rows.append(done.results[name]["row"])
         if not rows[-1]["patched"]:
             (out / f"{name}.yaml").unlink(missing_ok=True)
+    out.mkdir(parents=True, exist_ok=True)  # also if every diagnosis has failed
     files.write_text(out / f"{INDEX}.json", json.dumps(rows, indent=1) + "\n")
     files.write_text(out / f"{INDEX}.html", page(rows))
     return rows

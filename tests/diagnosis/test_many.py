@@ -119,6 +119,16 @@ def test_a_failure_has_a_row_and_the_others_continue(asked):
     assert asked.trials == ["quiet", "loud", "loud"]
 
 
+def test_every_diagnosis_may_fail_also_without_a_text(asked, monkeypatch):
+    def full(*given, **more):
+        raise MemoryError
+
+    monkeypatch.setattr(many, "diagnose_files", full)
+    outcome = invoke("diagnose", *ROBOTS, "--out", "reports", "--workers", 1)
+    assert outcome.exit_code == 1
+    assert "robots/two: MemoryError" in outcome.stderr
+
+
 def test_names_are_the_parts_of_the_paths_that_differ():
     given = [Path(name) for name in ("a/x", "b/x", "b/rig/stage.yaml", "b/y.mcap")]
     assert list(many.names(given)) == ["a-x", "b-x", "b-rig", "b-y.mcap"]
