@@ -34,7 +34,7 @@ class Row(Strict):
 
     def is_of(self, other: "Row") -> bool:
         """Return whether two rows are results of the same policy."""
-        return self.sha256 == other.sha256 if self.sha256 else self.name == other.name
+        return self.sha256 == other.sha256 and (bool(self.sha256) or self.name == other.name)
 
 
 class Board(Strict):

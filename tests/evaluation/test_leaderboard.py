@@ -61,6 +61,12 @@ def test_the_best_policy_is_first_and_a_near_result_counts_as_reproduced():
     assert (same, sentences, reproduced) == (board, ["other: reproduced within the entry's intervals"], True)
 
 
+def test_a_file_with_the_name_of_a_plug_in_is_another_policy():
+    board, _, _ = leaderboard.merged(Board(), [row("pid", 10)])
+    both, sentences, _ = leaderboard.merged(board, [row("pid", 150, ("ab",))])
+    assert (len(both.entries), sentences) == (2, ["pid: added"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
