@@ -1,5 +1,6 @@
 """Worst case of policies: the independent robot with one strong fault at a time, from rest and in mid-swing."""
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from typing import TypedDict
@@ -68,17 +69,19 @@ def measure(
     config: Config | None = None,
     faults: Sequence[str] = FAULTS,
 ) -> dict[str, dict[str, Worst]]:
-    """Return fault -> policy -> results.
+    """Return fault -> policy -> results; several seeds of one policy are several policies.
 
     Every second of the paper's 54 targets is flown once from rest and once in mid-swing.
 
     Raises:
         JobsFailed: A policy could not be flown.
     """
-    todo = {f"{entry.name}, {fault}": (entry, fault) for fault in (NO_FAULT, *faults) for entry in entries}
+    count, every = Counter(entry.name for entry in entries), (NO_FAULT, *faults)
+    rows = {entry.name if count[entry.name] == 1 else f"{entry.name}, seed {entry.seed}": entry for entry in entries}
+    todo = {f"{name}, {fault}": (entry, fault) for fault in every for name, entry in rows.items()}
     work = Work(partial(_fly, config=config), reads=lambda job: files_of(job[0], config))
     done = run("flying", work, todo, workers).complete()
-    return {fault: {entry.name: done[f"{entry.name}, {fault}"] for entry in entries} for fault in (NO_FAULT, *faults)}
+    return {fault: {name: done[f"{name}, {fault}"] for name in rows} for fault in every}
 
 
 def lines(found: dict[str, dict[str, Worst]]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -1,5 +1,7 @@
 """The worst case of policies over strong faults of the independent robot."""
 
+from pathlib import Path
+
 import pytest
 
 from softarm.common.batch import Batch, Workers
@@ -53,6 +55,13 @@ def test_every_second_target_is_flown_from_rest_and_in_mid_swing(flown):
     assert {each.cart_start_m for each in rest} == set(CART_STARTS_M)
     assert all(each.swing is None for each in rest)
     assert all(each.swing is not None for each in swung)
+
+
+def test_seeds_of_one_policy_have_columns_of_their_own(flown):
+    seeds = [Entry("mine", seed, Path(f"seed-{seed}.onnx")) for seed in (1, 2)]
+    found = faults.measure([*seeds, Entry("reach")], Workers(1), faults=())
+    assert list(found["none"]) == ["mine, seed 1", "mine, seed 2", "reach"]
+    assert len(flown) == 6
 
 
 def test_the_files_of_the_configuration_travel_to_a_cluster(monkeypatch):
