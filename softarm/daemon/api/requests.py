@@ -11,7 +11,7 @@ from softarm.daemon.api.bounds import WHO
 from softarm.daemon.api.refusals import Refused, json_response
 from softarm.daemon.api.status import StatusView
 from softarm.daemon.api.stream import POLL_S
-from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
+from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import RequestKind, RequestResult
 from softarm.policies.runner import PolicyRunner
 from softarm.schemas.goals import Goal
@@ -40,8 +40,7 @@ class Requests:
             raise Refused(503, str(error)) from error
         result = await self._result(kind, number, self._clock())
         if result is None:
-            next_step = STOP_WAITS if kind == "stop" else "see `softarm status`; the request is still in the inbox"
-            raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", next_step)
+            raise Refused(503, *unanswered(kind))
         if not result.accepted:
             raise Refused(409, *result.reasons)
         answer = self._view.answer(warnings)

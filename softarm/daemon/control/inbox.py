@@ -9,7 +9,6 @@ from softarm.policies.runner import PolicyRunner
 from softarm.schemas.goals import Goal
 
 ANSWER_S = 0.5  # longest wait for an answer; the control loop needs a tick or two
-STOP_WAITS = "use the emergency-stop button; the request stays in the inbox and will be answered first"
 
 
 class Post(NamedTuple):
@@ -21,6 +20,14 @@ class Post(NamedTuple):
 
 class InboxFull(Exception):
     """The control loop does not take requests."""
+
+
+def unanswered(kind: RequestKind) -> tuple[str, str]:
+    """Return problem and advice for a request that the control loop has not answered within `ANSWER_S`."""
+    advice = "see `softarm status`; the request is still in the inbox"
+    if kind == "stop":
+        advice = "use the emergency-stop button; the request stays in the inbox and will be answered first"
+    return f"{kind}: the control loop did not answer within {ANSWER_S:g} s", advice
 
 
 class Inbox:

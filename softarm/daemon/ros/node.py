@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import zenoh
 
 from softarm.daemon.control import workspace
-from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull
+from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import Outputs, RequestKind
 from softarm.daemon.ros import messages, wire
 from softarm.daemon.ros.messages import Messages
@@ -163,5 +163,5 @@ class RosNode(ClientThread):
         if result is not None:
             return f"{asked.kind} " + ("accepted" if result.accepted else f"refused: {'; '.join(result.reasons)}")
         if self._clock() - asked.at_ns > ANSWER_S * 1e9:
-            return f"{asked.kind}: the control loop did not answer within {ANSWER_S:g} s; see `softarm status`"
+            return "; ".join(unanswered(asked.kind))
         return None

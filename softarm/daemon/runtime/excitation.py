@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull
+from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import Outputs, RequestKind
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.jobs import Done, JobError, Progress
@@ -135,15 +135,13 @@ class Excitation:
             number = self._inbox.post(kind, goal=goal, policy=policy, runner=runner, who=self._who)
         except InboxFull as error:
             raise JobError(str(error)) from error
-        deadline_s = time.monotonic() + ANSWER_S
-        while time.monotonic() < deadline_s:
-            for result in reversed(self._now().results):
-                if result.number == number and not result.accepted:
-                    raise JobError(*result.reasons)
-                if result.number == number:
-                    return
+        posted_ns = time.monotonic_ns()
+        while (result := self._now().answer(kind, number, posted_ns)) is None:
+            if time.monotonic_ns() - posted_ns > ANSWER_S * 1e9:
+                raise JobError(*unanswered(kind))
             time.sleep(_POLL_S)
-        raise JobError(f"{kind}: the control loop did not answer within {ANSWER_S:g} s; see `softarm status`")
+        if not result.accepted:
+            raise JobError(*result.reasons)
 
     def _now(self) -> Outputs:
         outputs = self._snapshot()

@@ -23,7 +23,7 @@ from softarm.common import realtime
 from softarm.daemon.access.auth import AccessControl, Role
 from softarm.daemon.access.login import Sessions
 from softarm.daemon.access.sockets import listen
-from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox
+from softarm.daemon.control.inbox import ANSWER_S, Inbox, unanswered
 from softarm.daemon.control.records import Outputs
 from softarm.schemas.config import Api
 from softarm.schemas.rest import API_HEADER, API_VERSION
@@ -213,7 +213,7 @@ class StopListener:
                 continue
             elif client.asked is not None:
                 self._keep(HUNG)
-                self._refuse(client, 503, f"stop: the control loop did not answer within {ANSWER_S:g} s", STOP_WAITS)
+                self._refuse(client, 503, *unanswered("stop"))
             else:
                 self._close(client)
 

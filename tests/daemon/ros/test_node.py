@@ -220,6 +220,14 @@ def test_a_goal_that_the_loop_refuses_is_answered_with_its_reasons(router, loop)
         assert router.answer() == "goal refused: the arm is disarmed: `softarm arm`; no frame yet"
 
 
+def test_a_stop_that_the_loop_does_not_answer_names_the_button(stalled):
+    config = Config.model_validate({"ros": {"router": "tcp/127.0.0.1:7447"}})
+    made = RosNode(config, stalled.inbox, lambda: stalled.outputs, lambda: None, clock=iter((0, 500_000_001)).__next__)
+    made._ask("stop", None)
+    answer = made._answer(made._waiting[0], stalled.outputs)
+    assert answer.startswith("stop: the control loop did not answer within 0.5 s; use the emergency-stop button")
+
+
 def test_a_message_of_another_type_is_refused(router, loop):
     with node(router, loop, commands="all"):
         until(lambda: any("command%goal" in token for token in router.tokens()))
