@@ -8,9 +8,9 @@ from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import Outputs, RequestKind
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.jobs import Done, JobError, Progress
-from softarm.policies import registry
+from softarm.policies import registry, trusted
 from softarm.policies.base import Policy, PolicyError
-from softarm.policies.runner import PolicyRunner, ThreadRunner
+from softarm.policies.runner import PolicyRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 
@@ -18,6 +18,10 @@ _POLL_S = 0.02
 _LOG_S = 10.0  # longest wait for a new log
 _AFTER_S = 1.0  # of the arm at rest at the end of the log
 _FRESH_S = 10.0  # a younger log is not replaced: another excitation has just begun it
+
+
+class _Refused(JobError):
+    """The control loop has refused a request and will not carry it out."""
 
 
 class Excitation:
@@ -78,6 +82,8 @@ class Excitation:
 
     def _play(self, length_s: float, progress: Progress) -> GoalStatus:
         """Run the goal and return its end."""
+        if self._ended.is_set():
+            raise JobError("cancelled before it began")
         self._ask("goal", goal=Goal("run"))
         number, is_asked = self._now().goal.number, False
         while (goal := self._now().goal).number == number and goal.state == "running":
@@ -91,10 +97,10 @@ class Excitation:
         return goal
 
     def _use(self, policy: Policy) -> None:
-        runner = ThreadRunner(policy, self._config.failsafe.policy_budget_s)
+        runner = trusted.runner(policy, self._config.failsafe.policy_budget_s)
         try:
             self._ask("policy", policy=policy.spec.name, runner=runner)
-        except JobError:
+        except _Refused:  # after no answer the control loop may still accept the request and use the runner
             runner.close()
             raise
 
@@ -134,14 +140,14 @@ class Excitation:
         try:
             number = self._inbox.post(kind, goal=goal, policy=policy, runner=runner, who=self._who)
         except InboxFull as error:
-            raise JobError(str(error)) from error
+            raise _Refused(str(error)) from error
         posted_ns = time.monotonic_ns()
         while (result := self._now().answer(kind, number, posted_ns)) is None:
             if time.monotonic_ns() - posted_ns > ANSWER_S * 1e9:
                 raise JobError(*unanswered(kind))
             time.sleep(_POLL_S)
         if not result.accepted:
-            raise JobError(*result.reasons)
+            raise _Refused(*result.reasons)
 
     def _now(self) -> Outputs:
         outputs = self._snapshot()
