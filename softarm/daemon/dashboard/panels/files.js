@@ -3,10 +3,9 @@
 import { ask } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
-import { Panel } from "./panel.js";
+import { Panel, words } from "./panel.js";
 
 const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;
-const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
 
 function entry(name, more, ...buttons) {
   const message = el("span", { class: "more", role: "status" });

@@ -3,12 +3,13 @@
 import { ask, get, post } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 import { clock, el, seconds, sentence, worded } from "../view/dom.js";
-import { LISTING_S, Panel } from "./panel.js";
+import { LISTING_S, Panel, words } from "./panel.js";
 
 const EVERY_MS = 1000;
 const LOGS_MAX = 20; // the daemon's own limit for one diagnosis
 const STATES = { running: "… running", done: "✓ done", failed: "✕ failed", cancelled: "– cancelled" };
 const TITLES = { excite: "Excitation", diagnose: "Diagnosis", replay: "Replay" };
+const isRunning = (jobs) => jobs.some((job) => job.state === "running");
 
 export class Jobs extends Panel {
   constructor(follower) {
@@ -20,14 +21,16 @@ export class Jobs extends Panel {
   }
 
   async load() {
+    const answer = await super.load();
+    if (this.logs.length && isRunning(answer.jobs)) return answer; // the daemon reads every log to list them
     const { logs } = await get("api/logs", { seconds: LISTING_S });
     this.logs = logs.slice(0, LOGS_MAX);
     this.chosen = new Set(this.logs.map(({ name }) => name).filter((name) => this.chosen.has(name)));
-    return super.load();
+    return answer;
   }
 
   fill({ jobs, excitations }) {
-    const running = jobs.some((job) => job.state === "running");
+    const running = isRunning(jobs);
     if (running && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (!this.place.hidden) this.open(); }, EVERY_MS);
     const why = this.commands ? (running ? "A job is running. Wait for its end or cancel it." : "") : ROLE_LIMITS.view;
     const none = this.chosen.size ? "" : "Choose logs first.";
@@ -40,10 +43,10 @@ export class Jobs extends Panel {
       this.list(jobs.flatMap((job) => this.entry(job)), "No jobs yet."));
   }
 
-  row(title, words, why, act, ...fields) {
+  row(title, text, why, act, ...fields) {
     const press = () => { if (why) this.say(why); else act(); };
     const button = el("button", { type: "button", class: "small", title: why, "aria-disabled": String(Boolean(why)), "aria-label": `Start ${title.toLowerCase()}`, onclick: press }, "Start");
-    return el("div", { class: "row job" }, el("b", {}, title), el("span", { class: "hint" }, words), fields, button);
+    return el("div", { class: "row job" }, el("b", {}, title), el("span", { class: "hint" }, text), fields, button);
   }
 
   choice(excitations) {
@@ -64,11 +67,11 @@ export class Jobs extends Panel {
     const button = (text, act) => el("button", { type: "button", class: "small", "aria-label": `${text} job ${job.number}`, onclick: act }, text);
     const running = job.state === "running";
     const bar = running ? el("progress", { max: 1, value: job.share, "aria-label": `Progress of job ${job.number}` }) : null;
-    const words = [...job.sentences, job.progress].filter(Boolean).map((one) => el("span", { class: "more" }, sentence(worded(one))));
+    const lines = [...job.sentences, job.progress].filter(Boolean).map((one) => el("span", { class: "more" }, sentence(worded(one))));
     const open = this.shown === job.number;
     const href = job.report && `api/reports/${encodeURIComponent(job.report)}`;
     const row = el("li", { class: `file of-${job.state}`, "data-key": `${job.number} ${job.state}` },
-      el("div", {}, el("b", {}, `${TITLES[job.kind]} ${STATES[job.state]}`), el("span", { class: "more" }, [job.text, clock(job.started), took].filter(Boolean).join(" · ")), bar, words),
+      el("div", {}, el("b", {}, `${TITLES[job.kind]} ${STATES[job.state]}`), el("span", { class: "more" }, [job.text, clock(job.started), took].filter(Boolean).join(" · ")), bar, lines),
       el("span", { class: "acts" },
         running && this.commands ? button("Cancel", () => this.send(() => ask("DELETE", `api/jobs/${job.number}`))) : null,
         href ? button(open ? "Hide report" : "Show report", () => { this.shown = open ? null : job.number; this.open(); }) : null,
@@ -89,7 +92,7 @@ export class Jobs extends Panel {
       await request();
       this.said = "";
     } catch (error) {
-      this.said = (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
+      this.said = words(error);
     }
     await this.open();
   }

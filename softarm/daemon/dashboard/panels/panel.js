@@ -5,6 +5,9 @@ import { el, sentence, update, worded } from "../view/dom.js";
 
 export const LISTING_S = 35; // the daemon's own limit is 30 s
 
+// Return the reasons of a refusal, or the error, as sentences.
+export const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
+
 export class Panel {
   // fill(answer) of a panel shows the answer of its path.
   constructor(name, path = null) {
@@ -19,7 +22,7 @@ export class Panel {
     try {
       this.fill(await this.load());
     } catch (error) {
-      this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${(error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ")}`));
+      this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${words(error)}`));
     }
   }
 
