@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from softarm.daemon.runtime.jobs import Done, JobError, Progress
 
-FAILED, DEFECT = 1, 70  # exit codes of the `softarm` command
+FAILED = 1  # exit code of the `softarm` command for an expected failure
 LINES_MAX, LINE_MAX = 100, 2000  # of the output that is returned
 _SHARE = re.compile(r"\((\d+) %")
 # The alarm works even if the daemon has died. The daemon's real-time priority is given up before any import, and this

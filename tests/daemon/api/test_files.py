@@ -87,7 +87,7 @@ def test_a_log_with_any_name_is_downloaded(client, folder):
 
 def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeypatch, loop, app, client_of):
     path, before = folder / "flight.mcap", (folder / "flight.mcap").read_bytes()
-    opened = files.opened
+    opened = files._opened
 
     def and_more(asked):
         found = opened(asked)
@@ -95,7 +95,7 @@ def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeyp
             file.write(b"more")
         return found
 
-    monkeypatch.setattr(files, "opened", and_more)
+    monkeypatch.setattr(files, "_opened", and_more)
     answer = client_of(app(loop, config)).get("/api/logs/flight.mcap")
     assert answer.content == before
 

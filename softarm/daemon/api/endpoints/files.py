@@ -84,11 +84,11 @@ class Files:
     async def log(self, name: str) -> Response:
         """Download a log. Of the log being recorded, download what is written so far."""
         saved = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
-        return await self._download(path_of(self._logs, name, "log"), "application/octet-stream", saved)
+        return await self._download(_path(self._logs, name, "log"), "application/octet-stream", saved)
 
     async def delete_log(self, request: Request, name: str) -> Response:
         """Delete a log. The log being recorded cannot be deleted."""
-        path = path_of(self._logs, name, "log")
+        path = _path(self._logs, name, "log")
         await self._working.run("deleting a log", partial(_delete, path))
         if self._recorder is not None:
             self._recorder.done("delete_log", f"delete log {name}", request.scope[WHO])
@@ -96,8 +96,7 @@ class Files:
 
     async def view_log(self, request: Request, name: str) -> Response:
         """Return the player page of a log, sandboxed. Made in a separate process, one at a time."""
-        path = path_of(self._logs, name, "log")
-        opened(path)[0].close()
+        path = existing_log(self._logs, name)
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
             made = Path(folder, "page.html")
             verb = VerbProcess("logs", "view", str(path), "--no-open", "--out", str(made), limit_s=VIEW_S)
@@ -145,12 +144,12 @@ class Files:
     async def report(self, name: str) -> Response:
         """Return a report as a sandboxed page, which can load nothing else."""
         sandbox = {"Content-Security-Policy": SANDBOX}
-        return await self._download(path_of(self._reports, name, "report"), "text/html; charset=utf-8", sandbox)
+        return await self._download(_path(self._reports, name, "report"), "text/html; charset=utf-8", sandbox)
 
     async def _download(self, path: Path, kind: str, headers: dict[str, str]) -> Response:
         if self._downloads >= DOWNLOADS_MAX:
             raise Refused(503, f"{DOWNLOADS_MAX} downloads are running already: retry when one has finished")
-        file, size = await self._working.run("opening a file", partial(opened, path))
+        file, size = await self._working.run("opening a file", partial(_opened, path))
         headers |= HEADERS | {"Content-Length": str(size)}
         self._downloads += 1
         return _Sent(file, size, kind, headers, self._sent)
@@ -183,7 +182,14 @@ class _Sent(StreamingResponse):
             self._file.close()
 
 
-def path_of(directory: Path, name: str, kind: str) -> Path:
+def existing_log(directory: Path, name: str) -> Path:
+    """Return the path of a log that can be read, or raise Refused."""
+    path = _path(directory, name, "log")
+    _opened(path)[0].close()
+    return path
+
+
+def _path(directory: Path, name: str, kind: str) -> Path:
     """Return the path of a file in the directory itself. Raises Refused for any other name."""
     if not NAMES[kind].fullmatch(name):
         raise _missing(name, kind)
@@ -194,7 +200,7 @@ def _missing(name: str, kind: str) -> Refused:
     return Refused(404, f"no {kind} '{name[:60]}'; GET /api/{kind.partition(' ')[0]}s lists them")
 
 
-def opened(path: Path) -> tuple[BinaryIO, int]:
+def _opened(path: Path) -> tuple[BinaryIO, int]:
     """Return an open file and its present size. Raises Refused."""
     kind = "log" if path.suffix == ".mcap" else "report"
     try:
@@ -212,7 +218,7 @@ def opened(path: Path) -> tuple[BinaryIO, int]:
 
 def _delete(path: Path) -> None:
     """Delete a log, or raise Refused."""
-    file, _ = opened(path)
+    file, _ = _opened(path)
     with file:
         if finishing.is_held(path):
             raise Refused(409, f"{path.name} is being recorded: delete it when it is finished")

@@ -1,7 +1,6 @@
 """Endpoints for jobs: an excitation, a diagnosis or a replay. Their docstrings are the texts of /docs."""
 
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
@@ -11,7 +10,7 @@ from fastapi.responses import Response
 from softarm.common.words import did_you_mean
 from softarm.daemon.api.bounds import WHO
 from softarm.daemon.api.context import ApiContext
-from softarm.daemon.api.endpoints.files import opened, path_of
+from softarm.daemon.api.endpoints.files import existing_log
 from softarm.daemon.api.endpoints.policies import Policies
 from softarm.daemon.api.refusals import Refused, answers, json_response
 from softarm.daemon.api.status import StatusView
@@ -68,7 +67,8 @@ class JobEndpoints:
                 report = f"diagnosis-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.html"
                 text, work = f"diagnosis of {', '.join(body.logs)}", self._diagnosis(body.logs, report)
             case ReplayBody():
-                text, work = f"replay of {body.log}", self._verb("logs", "replay", str(self._log(body.log)))
+                path = existing_log(self._logs, body.log)
+                text, work = f"replay of {body.log}", self._verb("logs", "replay", str(path))
         try:
             entry = self._context.jobs.start(body.kind, text, work, report)
         except Busy as error:
@@ -106,15 +106,9 @@ class JobEndpoints:
         )
 
     def _diagnosis(self, logs: tuple[str, ...], report: str) -> Work:
-        paths = [str(self._log(name)) for name in logs]
+        paths = [str(existing_log(self._logs, name)) for name in logs]
         self._reports.mkdir(parents=True, exist_ok=True)
         return self._verb("diagnose", *paths, "--report", str(self._reports / report))
 
     def _verb(self, *arguments: str) -> Work:
         return VerbProcess(*arguments, limit_s=JOB_S)
-
-    def _log(self, name: str) -> Path:
-        """Return the path of a log, or raise Refused."""
-        path = path_of(self._logs, name, "log")
-        opened(path)[0].close()
-        return path
