@@ -1,7 +1,6 @@
 """A trusted policy that never returns hangs the control loop: devices, stop port and latch do not need the loop."""
 
 import threading
-import time
 
 import httpx
 import numpy as np
@@ -22,6 +21,7 @@ from softarm.policies import trusted
 from softarm.policies.base import PolicySpec
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.goals import Goal
+from tests.processes import until
 
 
 class Stuck:
@@ -41,13 +41,6 @@ class Stuck:
             self.hangs.set()
             self.let_go.wait()
         return np.array([0.3, 5.0], dtype=np.float32)
-
-
-def until(condition):
-    """Poll for what another thread will do; a test that waits in vain fails by the suite's time limit."""
-    while not (value := condition()):
-        time.sleep(0.005)
-    return value
 
 
 @pytest.fixture
@@ -77,6 +70,9 @@ def test_while_a_trusted_policy_hangs_the_devices_are_safe_and_a_stop_is_kept(tw
             until(lambda: daemon.loop.snapshot)
             return daemon.loop.snapshot
 
+        def kept():
+            return latch.decoded(latch_path(config).read_bytes()).reason
+
         assert isinstance(trusted.runner(policy, 0.02), InlineRunner)
         while not policy.hangs.wait(0.2):  # again after a stop that a busy machine has caused
             kind = {Mode.ARMED: "goal", Mode.STOPPED: "acknowledge"}.get(snapshot().mode, "arm")
@@ -87,8 +83,8 @@ def test_while_a_trusted_policy_hangs_the_devices_are_safe_and_a_stop_is_kept(tw
         answer = httpx.post(daemon.stop_url)
         assert answer.status_code == 503
         assert "use the emergency-stop button" in answer.text
-        kept = until(lambda: latch.decoded(latch_path(config).read_bytes()).reason)
-        assert kept == HUNG  # a daemon that the watchdog starts again is stopped
+        until(kept)
+        assert kept() == HUNG  # a daemon that the watchdog starts again is stopped
         assert snapshot() is before  # all of this happened without the loop
         policy.let_go.set()
         until(lambda: snapshot().mode is Mode.STOPPED)
