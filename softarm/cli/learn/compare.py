@@ -59,10 +59,17 @@ def _rank(file: Path, rows: "list[Row]") -> None:
 
 
 def worst(choice: Choice, found: "Sequence[Entry]", config: "Config") -> None:
-    """Print the success with each strong fault, and the worst. Raises ValueError without the independent robot."""
+    """Print the success with each strong fault, and the worst.
+
+    Raises:
+        ValueError: the independent robot is not installed, or the ceiling, which cannot fly it, is among the rows.
+    """
     from softarm.evaluation import faults
     from softarm.evaluation import tests as known
+    from softarm.evaluation.entries import CEILING
 
+    if any(entry.name == CEILING for entry in found):
+        raise ValueError(f"{CEILING}: is searched on the simulator alone; omit it, or omit --faults")
     known.check("held_back")
     result = faults.measure(found, choice.workers, config)
     print_table(*faults.lines(result), "targets reached from rest / in mid-swing, %")

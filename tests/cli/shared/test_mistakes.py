@@ -89,6 +89,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("evaluate campaign", "campaign: no policy (*.onnx or NAME/seed-K/*.onnx) in this folder"),
         ("evaluate verdict.json", "verdict.json: is no ONNX file"),
         ("evaluate ceiling --test shelf", "ceiling: is searched in the test grid alone"),
+        ("evaluate ceiling --faults", "ceiling: is searched on the simulator alone; omit it, or omit --faults"),
         ("evaluate --test held_back --model no-delay", "takes no model: omit --model"),
         ("evaluate --report no/out.html", "no/out.html: the folder no does not exist; create it"),
         ("evaluate --film swing.avi", "the suffix is '.avi'; allowed .gif or .mp4"),
