@@ -5,8 +5,7 @@
 
 Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date, the
 command and the paths that the figures depend on; `transcribed` marks figures copied from a page, whose revision is the
-commit that last changed the page's table. A command that ends with `(removed; last in revision ...)` cannot be repeated
-here; its result counts as current. `python -m tools.render` fills the tables of docs/ from these files.
+commit that last changed the page's table. `python -m tools.render` fills the tables of docs/ from these files.
 """
 
 import json
@@ -51,7 +50,6 @@ _DAEMON = "validation/daemon_process.py"
 
 # Result name, or the part of it before the first hyphen -> the paths whose change may change the figures.
 DEPENDS: Mapping[str, tuple[str, ...]] = {
-    "ablation": (*_FLIGHTS, *_TRAINING),
     "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
     "adversary-tick": (*_CONTROL, *_ADVERSARY),
     "all": (*_FLIGHTS, "softarm/reality"),
@@ -61,8 +59,6 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": (*_DIAGNOSIS, "softarm/reality"),
-    "diagnosis": _DIAGNOSIS,
-    "differ": (*_FLIGHTS, "softarm/reality"),
     "faults": (*_FLIGHTS, "softarm/reality"),
     "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
     "grid": _FLIGHTS,
@@ -72,12 +68,9 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "needs": (*_TRAINING, "softarm/common/braking.py"),
     "planning": (*_TRAINING, "softarm/common/braking.py", "benchmarks/planning.py"),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
-    "rl": _TRAINING,
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
-    "sweep": _TRAINING,
     "training": (*_TRAINING, "benchmarks/training.py"),
-    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", _DAEMON, "validation/viewers.py"),
 }
 
 
@@ -175,7 +168,7 @@ def main(check: bool) -> None:
     for file in sorted(FOLDER.glob("*.json")):
         about = read(file.stem)["about"]
         behind = age(about)
-        stale += behind > 0 and "(removed;" not in about["command"]
+        stale += behind > 0
         table.add_row(file.stem, about["date"][:10], about["revision"][:8], str(behind or "-"), about["command"])
     Console(width=None if sys.stdout.isatty() else 200).print(table)
     click.echo(f"{stale} results are older than their code" if stale else "every result is as new as its code")

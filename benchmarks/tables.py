@@ -1,18 +1,31 @@
 """Tables of the pages, from stored results to Markdown, with targets and the paper's figures next to them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from benchmarks import diagnosis_tables, planning_tables
-from benchmarks.markdown import Read, markdown
 from softarm.evaluation import faults as worst
 from softarm.evaluation.entries import CEILING
 from softarm.evaluation.table import HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
+from softarm.training.trajectory import needs as needed
 
-BRIDGED = ("bridging", "bridging-payload")
 _SPREAD = "{p50:.0f} / {p99:.0f} / {max:.0f}"
+Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.evaluation.table.Figure
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table with a head and rows. Raises ValueError for a row that does not fit the head."""
+    lines = [_line(head), "|" + "---|" * len(head)]
+    for row in rows:
+        if len(row) != len(head):
+            raise ValueError(f"a row of {len(row)} cells in a table of {len(head)} columns: {row}")
+        lines.append(_line(row))
+    return "\n".join(lines) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
 def _percent(share: float, digits: int = 1) -> str:
@@ -45,17 +58,18 @@ _GRID = {
 
 def grid(read: Read) -> str:
     """Return each shipped policy at the paper's 54 targets, next to the paper's robot."""
-    speed = read("grid-speed")["real_time_factor"]
     rows = []
     for policy, title in _GRID.items():
         found = read(f"grid-{policy}")
         shares = [f"{_percent(found['success'][part])} %" for part in ("in_range", "above", "all")]
         places = [f"{found['max_tip_z_m']:.2f} m", f"{found['max_cart_m']:.3f} m"]
-        rows.append([title, *shares, *places, speed.get(policy, "")])
+        rows.append([title, *shares, *places, f"{found['real_time_factor']:.0f}"])
     for (policy, found), tip in zip(HARDWARE.items(), ("", "", "0.56 m"), strict=True):
         shares = [f"{100 * found[part]:.0f} %" if part in found else "" for part in ("in_range", "above", "all")]
         rows.append([f"{policy}, its hardware", *shares, tip, "", ""])
-    return markdown(("policy", "z <= 0.70 m", "z > 0.70 m", "all", "highest tip", "farthest cart", "speed"), rows)
+    return markdown(
+        ("policy", "z <= 0.70 m", "z > 0.70 m", "all", "highest tip", "farthest cart", "times real time"), rows
+    )
 
 
 # Column of `softarm evaluate --all` -> title, trials per seed.
@@ -68,6 +82,8 @@ _TESTS = {
     "shelf_random": ("shelf, random", 500),
     "held_back": ("held-back", 162),
     "held_back_changed": ("held-back, changed", 162),
+    "held_back_later": ("held-back, rail 90 ms late", 162),
+    "held_back_weak": ("held-back, drive at 3 m/s^2", 162),
     "held_back_shelf": ("held-back, shelf", 12),
 }
 _ROWS = ("reach", "reach-wide", "reach-robust", "shelf", "mppi", "trajectory", "pid", CEILING)
@@ -75,9 +91,8 @@ _ROWS = ("reach", "reach-wide", "reach-robust", "shelf", "mppi", "trajectory", "
 
 def all_tests(read: Read) -> str:
     """Return all policies at all tests, the trained ones over their seeds."""
-    stored = [read(name) for name in ("all-tests-trained", "all-tests-mppi", "all-tests-others")]
-    figures = {policy: row for each in stored for policy, row in each["policies"].items()}
-    seeds = {policy: known for each in stored for policy, known in each["seeds"].items()}
+    stored = read("all-tests")
+    figures, seeds = stored["policies"], stored["seeds"]
     rows = []
     for policy in _ROWS:
         title = "ceiling (open-loop search)" if policy == CEILING else f"`{policy}`"
@@ -87,18 +102,6 @@ def all_tests(read: Read) -> str:
         cells = [f"{100 * shares[column]:.0f}" if column in shares else "" for column in _TESTS]
         rows.append([f"{policy}, its hardware", "", *cells])
     return markdown(("policy", "seeds", *(title for title, _ in _TESTS.values())), rows)
-
-
-def sweep(read: Read) -> str:
-    """Return the results of five seeds of each shipped policy's training."""
-    columns = ("in_range", "above", "all", "shelf", "shelf_random")
-    rows = []
-    for name, run in read("sweep")["runs"].items():
-        cells = [f"{cell(run[column])} %" if column in run else "" for column in columns]
-        rows.append([f"`{name}`", f"{run['frames'] / 1e6:.0f} M", f"{run['seconds']:.0f}", *cells])
-    return markdown(
-        ("run", "frames", "seconds on one core", "in range", "above", "all", "shelf, 12", "shelf, 500"), rows
-    )
 
 
 def time_to_level(read: Read) -> str:
@@ -115,79 +118,11 @@ def time_to_level(read: Read) -> str:
     )
 
 
-def rl_games(read: Read) -> str:
-    """Return the learning curve of rl_games."""
-    curve = read("rl-games")["seconds, frames, in range, above, all"]
-    shares = (" / ".join(f"{100 * share:.0f}" for share in point[2:]) for point in curve)
-    return markdown(
-        ("seconds", *(f"{point[0]:.0f}" for point in curve)),
-        [
-            ["million frames", *(f"{point[1] / 1e6:.2f}" for point in curve)],
-            ["in range / above / all, %", *shares],
-        ],
-    )
-
-
 def faults(read: Read) -> str:
     """Return the success of policies with one fault of the independent robot at a time."""
     found = {fault: of for fault, of in read("faults").items() if fault != "about"}
     head, rows = worst.lines(found)
     return markdown(head, rows)
-
-
-_ROBOTS = {
-    "all": "all 54",
-    "held_back": "held-back",
-    "held_back_payload": "50 g at the tip",
-    "held_back_slow": "slow regulator",
-    "held_back_late": "late rail (50 ms)",
-    "held_back_changed": "all three",
-    "held_back_later": "rail 90 ms late",
-    "held_back_weak": "drive at 3 m/s^2",
-}
-
-
-def differ(read: Read) -> str:
-    """Return policies over seeds on robots with faults."""
-    policies = read("differ")["policies"]
-    rows = [[f"`{policy}`", *(cell(figures.get(column)) for column in _ROBOTS)] for policy, figures in policies.items()]
-    return markdown(("policy", *_ROBOTS.values()), rows)
-
-
-# Run of benchmarks/ablation.yaml -> description, the paper's hardware (Table 1; of 12 trials, percent).
-_ABLATION = {
-    "full": ("everything (action noise, LSTM after the MLP)", "92"),
-    "no-pressure-lag": ("no pressure lag", "0"),
-    "no-acceleration-limit": ("no acceleration limit of the cart", "8"),
-    "no-delay": ("no delay", "0"),
-    "no-finite-difference": ("true velocities instead of differences", "0"),
-    "no-finite-difference-long": ("the same, 10 M frames", ""),
-    "observations": ("noise on observations instead", "25"),
-    "dynamics": ("randomised dynamics instead", "25"),
-    "no-randomisation": ("no randomisation", "17"),
-    "mlp-only": ("MLP alone", "0"),
-    "lstm-before-mlp": ("LSTM before the MLP", "0"),
-    "lstm-before-mlp-long": ("the same, 10 M frames", ""),
-    "no-muscle": ("no muscle", "0"),
-}
-_MATRIX = {
-    "shelf": "shelf, 12",
-    "shelf_random": "shelf, 500",
-    "shelf_random@no-pressure-lag": "500 without pressure lag",
-    "shelf_random@no-acceleration-limit": "500 without acceleration limit",
-    "shelf_random@no-delay": "500 without delay",
-    "held_back_shelf": "independent robot, 12",
-}
-
-
-def ablation(read: Read) -> str:
-    """Return the paper's Table 1: training with one ingredient changed, at the shelf."""
-    found = read("ablation")["policies"]
-    rows = [
-        [title, *(cell(found[run][column], digits=0) for column in _MATRIX), hardware]
-        for run, (title, hardware) in _ABLATION.items()
-    ]
-    return markdown(("trained with", *_MATRIX.values(), "the paper's hardware"), rows)
 
 
 _LOOP = {
@@ -217,17 +152,6 @@ def first_use(read: Read) -> str:
     return markdown(("", "after", "aim"), rows)
 
 
-def viewers(read: Read) -> str:
-    """Return the cost of ten viewers."""
-    found = read("viewers")
-    sides = [found["alone"], found["viewed"]]
-    keys = ("lateness_ms", "bare_loop_lateness_ms", "compute_ms")
-    rows = [[_LOOP[key][0], *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**at[key]) for at in sides)] for key in keys]
-    rows.append(["missed ticks", *(f"{side['missed_ticks']} of {side['ticks']}" for side in sides)])
-    rows.append(["daemon, of a core", *(f"{100 * side['daemon_cpu']:.1f} %" for side in sides)])
-    return markdown(("p50 / p99 / max (ms)", "no viewer", f"{found['viewers']} watch"), rows)
-
-
 def stop(read: Read) -> str:
     """Return how soon a stop is answered under attack."""
     rows = []
@@ -246,10 +170,9 @@ def bridging(read: Read) -> str:
     """Return flights with dropouts of motion capture, by reaction."""
     ways = {"stopped": "none", "held": "last frame held", "bridged": "bridged", "default": "as configured by default"}
     cells: dict[tuple[str, int], dict[str, str]] = {}
-    for flown in (each for name in BRIDGED for each in read(name)["flights"]):
-        cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = "{reached}, {stopped}".format(
-            **flown
-        )
+    for flown in read("bridging")["flights"]:
+        counted = f"{flown['reached']}, {flown['stopped']}"
+        cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = counted
     rows = [
         [body, f"{ms} ms" if ms else "none", *(by_way[way] for way in ways)] for (body, ms), by_way in cells.items()
     ]
@@ -258,12 +181,9 @@ def bridging(read: Read) -> str:
 
 def estimates(read: Read) -> str:
     """Return the error of the estimated tip after ticks without a frame."""
-    bodies: dict[str, dict[str, list[float]]] = {}
-    for name in BRIDGED:
-        bodies |= read(name)["tip_rms_m"]
     rows = [
         [body, method, *(f"{1e3 * off_m:.1f}" for off_m in rms_m)]
-        for body, methods in bodies.items()
+        for body, methods in read("bridging")["tip_rms_m"].items()
         for method, rms_m in methods.items()
     ]
     ticks = [f"{1e3 * CONTROL_PERIOD_S * tick:.0f} ms" for tick in range(1, len(rows[0]) - 1)]
@@ -413,17 +333,91 @@ def rail_limits(read: Read) -> str:
     return markdown(("body", "ramp", "payload", "truly late by", *keys, "cart at most"), rows)
 
 
+def needs(read: Read) -> str:
+    """Return the smallest change of each quantity that reaches each missed target."""
+    return markdown(*needed.lines(read("needs")))
+
+
+def planning(read: Read) -> str:
+    """Return processor time and success of both planners from the middle of the rail."""
+    found = read("planning")
+    titles = {"softarm": "`softarm dev plan`", "ipopt": "CasADi with IPOPT, from an arm at rest"}
+    rows = [(titles[name], str(found[name]["reached"]), f"{found[name]['cpu_s']:.1f}") for name in titles]
+    return markdown((f"{found['targets']} targets", "reached", "processor time (s)"), rows)
+
+
+def replanning(read: Read) -> str:
+    """Return the times of `mppi` for a command, and its success."""
+    found = read("replanning")
+    rows = []
+    for name, row in found["tests"].items():
+        times = [
+            " / ".join(f"{row[kind][part]:.1f}" for part in ("p50", "p99", "max")) for kind in ("wall_ms", "cpu_ms")
+        ]
+        rows.append((name, f"{row['reached']} of {row['flights']}", *times, f"{row['rounds']:.2f}"))
+    return markdown(("flights", "reached", "wall time (ms)", "processor time (ms)", "rounds"), rows)
+
+
+def blind(read: Read) -> str:
+    """Return the rates of the blind benchmark next to the targets."""
+    found = read("blind")["methods"]["diagnose"]
+    cells = {**found["measures"], **found["coverage"]}
+    aims = {
+        "right in all parts": ("right in all", ""),
+        "right stage": ("right stage", "98 %"),
+        "a single effect named exactly": ("single, exact", "97 %"),
+        "both of two effects": ("two, exact", "90 %"),
+        "the same, alone or in a set of two": ("two, exact or in sets of two", ""),
+        "all of three effects": ("three, exact", "60 %"),
+        "an unknown effect given a name": ("unknown, given a name", "2 %"),
+        "the same, as the whole answer": ("unknown, given a name as the whole answer", ""),
+        "an unknown effect said to be one": ("unknown, said so", "85 %"),
+        "a name when nothing is wrong": ("none, given a name", "1 %"),
+        "95 % intervals of a size hold the true one": ("size", "90 to 97 %"),
+        "95 % intervals of the shrink hold fresh data, stage": ("stage", "92 to 98 %"),
+        "the same, chain": ("chain", "92 to 98 %"),
+    }
+    rows = [[title, _share(cells[key]), aim] for title, (key, aim) in aims.items()]
+    seconds = f"{found['seconds_median']:.0f} s, {found['seconds_worst']:.0f} s"
+    rows.append(["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"])
+    rows.append(["processor time of eight trials, median and worst", seconds, "8 s, 40 s"])
+    return markdown(("", "reached", "aim"), rows)
+
+
+_MEASURES = {
+    "right in all": "right in all parts",
+    "right stage": "right stage",
+    "single, exact": "one effect, exact",
+    "single at half strength, exact": "one at half strength, exact",
+    "two, exact": "two effects, exact",
+    "two, the second at half strength, exact": "two, the second at half strength, exact",
+    "three, exact": "three effects, exact",
+    "known, a wrong name beside": "known cause, also a wrong name",
+    "unknown, given a name": "unknown cause, given a name",
+    "none, given a name": "healthy robot, given a name",
+}
+
+
+def blind_methods(read: Read) -> str:
+    """Return the main measures of the diagnosis and of simpler rules on the same robots."""
+    methods = read("blind-baselines")["methods"]
+    rows = [
+        [title, *(_share(method["measures"][name]) for method in methods.values())] for name, title in _MEASURES.items()
+    ]
+    rows.append(["processor seconds a case, median", *(f"{each['seconds_median']:.0f}" for each in methods.values())])
+    return markdown((f"{methods['diagnose']['cases']} cases", *methods), rows)
+
+
+def _share(found: Mapping[str, Any]) -> str:
+    return f"{100 * found['share']:.0f} % ({found['hits']} of {found['of']})"
+
+
 TABLES: dict[str, Callable[[Read], str]] = {
     "grid": grid,
     "all-tests": all_tests,
-    "sweep": sweep,
     "time-to-level": time_to_level,
-    "rl-games": rl_games,
     "faults": faults,
-    "differ": differ,
-    "ablation": ablation,
     "loop": loop,
-    "viewers": viewers,
     "first-use": first_use,
     "stop": stop,
     "bridging": bridging,
@@ -436,6 +430,9 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "limits": rail_limits,
     "simulator": simulator,
     "card": card,
-    **diagnosis_tables.TABLES,
-    **planning_tables.TABLES,
+    "needs": needs,
+    "planning": planning,
+    "replanning": replanning,
+    "blind": blind,
+    "blind-methods": blind_methods,
 }

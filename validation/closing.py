@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from benchmarks import results
-from benchmarks.markdown import markdown
+from benchmarks.tables import markdown
 from softarm.common import files
 from softarm.common.processes import bar
 from softarm.diagnosis.blind.cases import PROGRAMME
