@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from benchmarks import results
 from benchmarks.tables import TABLES
-from benchmarks.ticks import Ticks
 from softarm.common import batch
 from softarm.common.batch import Workers
 from softarm.common.batch_options import workers_options
 from softarm.daemon.control.alignment import ReadingHistory
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.plausibility import CART, TIP
-from softarm.daemon.control.records import Inputs, Mode
+from softarm.daemon.control.records import Inputs, Mode, Tick
 from softarm.daemon.runtime.offline import Lockstep
+from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.in_process import InProcessMocap, InProcessRobot
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.evaluation.robots import ROBOTS
@@ -107,17 +107,18 @@ class Job(NamedTuple):
 
 def begun(
     policy: Policy, body: str, cart_start_m: float, seed: int, dropout_s: float = 0.0, way: str = "default"
-) -> tuple[Lockstep, Ticks]:
+) -> tuple[Lockstep, list[Tick]]:
     """Return an armed daemon whose cameras have dropouts, and its recorder."""
-    ticks = Ticks()
+    ticks: list[Tick] = []
     config = Config(failsafe=WAYS[way])
+    robot: Body
     if body == SIMULATOR:
-        daemon = Lockstep(config, policy, record=ticks.tick, body=SimulatedBody())
+        robot = SimulatedBody()
     else:
         from softarm.drivers.bodies.independent import IndependentBody
 
         robot = IndependentBody(ROBOTS[body], seed, cart_position_m=cart_start_m)
-        daemon = Lockstep(config, policy, record=ticks.tick, body=robot)
+    daemon = Lockstep(config, policy, record=lambda *tick: ticks.append(tick), body=robot)
     cameras = daemon.robot.mocap = Blinking(daemon.robot, seed, dropout_s, NOISE_M if body == SIMULATOR else 0.0)
     daemon.arm()
     if body == SIMULATOR:
@@ -164,7 +165,7 @@ def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
         yield _armed(ticks)
 
 
-def _armed(ticks: Ticks) -> list[Inputs]:
+def _armed(ticks: Sequence[Tick]) -> list[Inputs]:
     return [inputs for inputs, outputs, _ in ticks if outputs.mode is Mode.ARMED]
 
 

@@ -24,10 +24,10 @@ import click
 import numpy as np
 
 from benchmarks import results
-from benchmarks.ticks import Tick
 from softarm.cli.shared.errors import failing
 from softarm.common import realtime
 from softarm.common.processes import bar
+from softarm.daemon.control.records import Tick
 from softarm.daemon.logbook import logs
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config

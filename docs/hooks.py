@@ -12,7 +12,7 @@ from mkdocs.structure.files import File, Files
 from softarm.cli import page as cli_page
 from softarm.cli.shared.errors import EXITS
 from softarm.daemon.api.app import ApiContext, create_app
-from softarm.daemon.config import keys
+from softarm.daemon.config import configuration
 from softarm.daemon.control import failsafe
 from softarm.daemon.control.inbox import Inbox
 from softarm.diagnosis.blind import pages
@@ -75,7 +75,7 @@ def blind_causes() -> str:
 
 def configuration_keys() -> str:
     """Return every key of softarm.yaml."""
-    rows = "\n".join(f"| `{row.key}` | {' | '.join(map(_cell, row[1:]))} |" for row in keys.rows())
+    rows = "\n".join(f"| `{row.key}` | {' | '.join(map(_cell, row[1:]))} |" for row in configuration.key_rows())
     return f"| key | unit | allowed | default | meaning |\n|---|---|---|---|---|\n{rows}"
 
 

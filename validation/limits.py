@@ -8,7 +8,7 @@ faces a policy that drives the cart against both ends as hard as possible. The c
 The simulated robot needs the extra `sim`, the independent one `mujoco`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +17,8 @@ import click
 import numpy as np
 
 from benchmarks import results
-from benchmarks.ticks import Ticks
 from softarm.common import batch
-from softarm.daemon.control.records import Mode
+from softarm.daemon.control.records import Mode, Tick
 from softarm.daemon.limits.findings import EXCITATION, findings
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
@@ -108,7 +107,7 @@ class Attack(Policy):
         return self._wanted.copy()
 
 
-def motion(ticks: Ticks, config: Config) -> RailMotion:
+def motion(ticks: Sequence[Tick], config: Config) -> RailMotion:
     """Return the motion of the rail, as read from a log of these ticks."""
     sent = [(o.t_ns * 1e-9, o.sent.cart_velocity_m_s, o.sent.enable) for _, o, _ in ticks]
     rails = {i.rail.t_receive_ns: i.rail for i, _, _ in ticks if i.rail is not None}
@@ -128,8 +127,8 @@ class Flight(NamedTuple):
 
 def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.random.Generator | None) -> Flight:
     """Fly goals (or one `run` if None) for a given time, arming again after every stop."""
-    body, ticks = robot.make(), Ticks()
-    daemon = Lockstep(config, policy, record=ticks.tick, body=body)
+    body, ticks = robot.make(), list[Tick]()
+    daemon = Lockstep(config, policy, record=lambda *tick: ticks.append(tick), body=body)
     stops, outputs = -1, daemon.tick()
     while outputs.t_ns < seconds * 1e9:
         if outputs.mode is not Mode.ARMED:

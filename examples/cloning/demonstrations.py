@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.recordings import finishing

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from types import FrameType
 from typing import Self
 
@@ -14,28 +15,59 @@ from softarm.daemon.access.login import Sessions
 from softarm.daemon.api.app import create_app
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.server import ApiServer
-from softarm.daemon.config.places import latch_path
+from softarm.daemon.config.configuration import latch_path
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.foxglove.publisher import FoxglovePublisher
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.ros.node import RosNode
 from softarm.daemon.runtime.devices import Devices
-from softarm.daemon.runtime.first_policy import first_policy
 from softarm.daemon.runtime.jobs import Jobs
-from softarm.daemon.runtime.loop import ControlLoop
-from softarm.daemon.runtime.rehearsal import Rehearsal
+from softarm.daemon.runtime.loop import ControlLoop, Rehearsal
 from softarm.daemon.runtime.service import Notifier, allow_descriptors
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
-from softarm.policies import registry, trusted
-from softarm.policies.base import Policy
+from softarm.policies import registry, trial, trusted
+from softarm.policies.base import Policy, PolicyError
 from softarm.schemas.config import Config
+
+LOADING_S = 120.0  # trial and loading together: a policy may hang even after its trial
+POLL_S = 0.05
+
+
+def first_policy(config: Config, over: threading.Event, loading_s: float = LOADING_S) -> Policy | None:
+    """Return the configured policy, or None if `over` was set before it was loaded.
+
+    A loading thread that is abandoned is left behind.
+
+    Raises:
+        PolicyError: The policy cannot be used or was not loaded in time.
+    """
+    name = config.control.policy
+    answer: Future[Policy] = Future()
+
+    def load() -> None:
+        try:
+            answer.set_result(trial.load(name, config.policies, min(trial.TRIAL_S, loading_s)))
+        except PolicyError as error:
+            answer.set_exception(error)
+        except BaseException as error:  # including sys.exit() in a plug-in
+            answer.set_exception(PolicyError(f"{type(error).__name__}: {error}"))
+
+    threading.Thread(target=load, name=f"loading {name}", daemon=True).start()
+    deadline_s = time.monotonic() + loading_s
+    while not wait((answer,), POLL_S).done:
+        if over.is_set():
+            return None
+        if time.monotonic() > deadline_s:
+            raise PolicyError(f"policy '{name}': was not loaded within {loading_s:g} s; repair it or choose another")
+    return answer.result()
+
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.1
+SIGNAL_POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0002  # the API's thread yields to the control loop within this time instead of 5 ms
 
 
@@ -164,7 +196,7 @@ class Daemon:
         log.warning("emergency stop by key: `softarm acknowledge` releases the latch")
 
 
-def wait_for(stop: threading.Event, poll_s: float = POLL_S) -> None:
+def wait_for(stop: threading.Event, poll_s: float = SIGNAL_POLL_S) -> None:
     """Wait until a signal handler sets the event. For the main thread, where handlers run.
 
     `Event.wait` could hold the lock that the handler's `set` needs, and deadlock.

@@ -8,8 +8,7 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 
 from softarm.daemon.assembly import Daemon
-from softarm.daemon.config.configuration import load
-from softarm.daemon.config.places import latch_path
+from softarm.daemon.config.configuration import latch_path, load
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.devices import real_devices
 from softarm.daemon.stop import latch

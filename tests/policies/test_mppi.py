@@ -10,11 +10,10 @@ from benchmarks import commands
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.evaluation.runner import Runner
 from softarm.policies.base import PolicyError
-from softarm.policies.mppi import plans
-from softarm.policies.mppi.cost import cost
-from softarm.policies.mppi.estimator import Estimator
+from softarm.policies.mppi import planner
+from softarm.policies.mppi.estimator import Estimator, likely_joints, tip_from_cart_m
+from softarm.policies.mppi.planner import cost
 from softarm.policies.mppi.policy import Mppi
-from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
 from softarm.policies.runner import InlineRunner
 from softarm.schemas import flights
 from softarm.schemas.config import Config
@@ -212,8 +211,8 @@ class TestEstimate:
 class TestPlans:
     def test_every_command_is_within_the_range(self):
         random = np.random.default_rng(1)
-        elites = plans.swings(random, 40, 16, 1 / 30)
-        varied = plans.variations(random, elites, 200)
+        elites = planner.swings(random, 40, 16, 1 / 30)
+        varied = planner.variations(random, elites, 200)
         for each, count in ((elites, 16), (varied, 200)):
             assert each.shape == (2, 40, count)
             assert np.abs(each).max() <= 1.0

@@ -59,9 +59,8 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
       softarm bridge natnet --config bridge.yaml --json > bridge.jsonl
     """
     from softarm.common import realtime
-    from softarm.drivers.bridge.bridging import Bridging
+    from softarm.drivers.bridge.bridging import Bridging, Publisher
     from softarm.drivers.bridge.client import Client
-    from softarm.drivers.bridge.publisher import Publisher
 
     config, address = settings(server, config_file)
     if once:

@@ -44,8 +44,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     """
     from rich.console import Console
 
-    from softarm.daemon.logbook.exceeded import exceeded
-    from softarm.daemon.logbook.logs import read
+    from softarm.daemon.logbook.logs import exceeded, read
     from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 
     leaves(f"twin and daemon have ended; the recording is in {logs}")

@@ -89,7 +89,7 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
       softarm twin fault mocap_drop_body=link3 --config twin.yaml
       softarm twin fault clear --config twin.yaml
     """
-    from softarm.drivers.twin.remote import switch
+    from softarm.drivers.twin.cameras import switch
 
     if name == LIST:
         list_faults(reality=None)

@@ -32,7 +32,7 @@ class Source(NamedTuple):
 @contextmanager
 def only_one(config: "Config") -> Iterator[None]:
     """Keep daemons from using this axis while the context lasts; end the command if one does."""
-    from softarm.daemon.config.places import latch_path
+    from softarm.daemon.config.configuration import latch_path
     from softarm.daemon.doctor.ports import is_connected
     from softarm.daemon.stop.latch import LatchError, LatchKeeper
 

@@ -37,19 +37,19 @@ def new(file: Path | None, kind: str | None) -> None:
       softarm config new mine.yaml --simulated
       softarm config new --twin
     """
-    from softarm.daemon.config import keys
+    from softarm.daemon.config import configuration
 
     file = file or Path("twin.yaml" if kind == "twin" else "softarm.yaml")
     if file.exists():
         fail(f"{file}: exists and was not changed; choose another name or move the file")
     if kind == "twin":
-        text = keys.TWIN.read_text(encoding="utf-8")
+        text = configuration.TWIN.read_text(encoding="utf-8")
         following = f"`softarm twin --config {file}`, and in another terminal `softarm run --config {file}`"
     elif kind == "simulated":
-        text = keys.for_a_simulated_robot()
+        text = configuration.for_a_simulated_robot()
         following = f"`softarm run --simulated --config {file}`"
     else:
-        text = keys.EXAMPLE.read_text(encoding="utf-8")
+        text = configuration.EXAMPLE.read_text(encoding="utf-8")
         following = f"`softarm doctor --config {file}`, then `softarm run --config {file}`"
     write(file, text)
     click.echo(f"next: {following}; `softarm config units` explains each key")
@@ -67,9 +67,9 @@ def units(part: str, as_json: bool) -> None:
       softarm config units recorder
       softarm config units --json
     """
-    from softarm.daemon.config import keys
+    from softarm.daemon.config import configuration
 
-    found = [row for row in keys.rows() if part.lower() in row.key]
+    found = [row for row in configuration.key_rows() if part.lower() in row.key]
     if not found:
         fail(f"no key contains '{part}'; `softarm config units` lists all")
     if as_json:

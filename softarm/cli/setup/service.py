@@ -67,23 +67,23 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
 
 def _installing(system: "System", config_file: Path | None, user: str, dry_run: bool) -> "list[Step]":
     """Return the steps of an installation whose unit and configuration are valid."""
-    from softarm.daemon.config import keys
-    from softarm.daemon.install import here, plan, rendered
+    from softarm.daemon.config import configuration
+    from softarm.daemon.install import here, plan
 
-    if (unseen := rendered.hidden()) and system.is_this:
+    if (unseen := plan.hidden()) and system.is_this:
         text = (
             f"{unseen[0]}: hidden from the service (ProtectHome=, PrivateTmp=); create an environment elsewhere: "
             "`python3 -m venv /opt/softarm/.venv`, `pip install` softarm there, and install with its `softarm`"
         )
         click.echo(text, err=True) if dry_run else fail(text)
-    path = system.place(rendered.CONFIGURATION)
-    file = config_file or keys.EXAMPLE
+    path = system.place(plan.CONFIGURATION)
+    file = config_file or configuration.EXAMPLE
     config = load_config(file)
     installed = load_config(path) if path.exists() else None
-    if lost := rendered.hidden(rendered.named_files(installed or config)):
+    if lost := plan.hidden(plan.named_files(installed or config)):
         fail(f"{path if installed else file}: names {lost[0]}, hidden from the service; move it into /etc/softarm")
-    command = rendered.program()
-    if wrong := here.verify(rendered.unit(command, user, installed or config)):
+    command = plan.program()
+    if wrong := here.verify(plan.unit_text(command, user, installed or config)):
         fail(f"systemd rejects the unit: {wrong}")
     wanted = plan.Wanted(file.read_text(encoding="utf-8"), config, config_file is not None, installed)
     return list(plan.install(system, command, user, wanted))

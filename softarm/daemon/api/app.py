@@ -10,7 +10,6 @@ from starlette.exceptions import HTTPException
 from softarm import __version__
 from softarm.daemon.access.auth import AccessControl
 from softarm.daemon.access.login import Sessions
-from softarm.daemon.api.body_errors import body_errors
 from softarm.daemon.api.bounds import Guard
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.endpoints.commands import Commands
@@ -20,7 +19,7 @@ from softarm.daemon.api.endpoints.jobs import JobEndpoints
 from softarm.daemon.api.endpoints.login import Login
 from softarm.daemon.api.endpoints.observation import Observation
 from softarm.daemon.api.endpoints.policies import Policies, PolicyEndpoints
-from softarm.daemon.api.refusals import Refused, on_http_error, on_refused, refusal
+from softarm.daemon.api.refusals import Refused, body_errors, on_http_error, on_refused, refusal
 from softarm.daemon.api.requests import Requests
 from softarm.daemon.api.status import StatusView
 

@@ -9,8 +9,7 @@ from fastapi.responses import Response
 
 from softarm.daemon.api.bounds import WHO
 from softarm.daemon.api.refusals import Refused, json_response
-from softarm.daemon.api.status import StatusView
-from softarm.daemon.api.stream import POLL_S
+from softarm.daemon.api.status import POLL_S, StatusView
 from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import RequestKind, RequestResult
 from softarm.policies.runner import PolicyRunner

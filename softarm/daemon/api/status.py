@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from softarm.daemon.api.context import ApiContext
     from softarm.daemon.logbook.recorder import Recorder
 
+POLL_S = 0.005  # between looks for a new snapshot
 STALLED_NS = 200_000_000  # the control loop has stalled if the snapshot is older
 _OUTPUTS = tuple(field.name for field in fields(Outputs))
 

@@ -1,7 +1,9 @@
-"""Reader of the configuration file: reports all mistakes at once, with their lines."""
+"""Reader of the configuration file, which reports all mistakes at once with their lines, and reference of its keys."""
 
 import math
-from collections.abc import Iterator
+import os
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -10,11 +12,11 @@ from typing import NamedTuple
 from softarm.common import yaml_lines
 from softarm.common.keys import leaves
 from softarm.common.quantity import shown
+from softarm.common.revision import PACKAGE
 from softarm.common.yaml_lines import FileError, Place
 from softarm.common.yaml_schema import fit
 from softarm.daemon.access.auth import TOKEN_FILES
 from softarm.daemon.config.contradictions import contradictions
-from softarm.daemon.config.places import latch_path
 from softarm.schemas.config import Config
 
 
@@ -130,3 +132,47 @@ def _derived(config: Config) -> Iterator[LimitRow]:
     )
     for key, value, unit, how in rows:
         yield LimitRow(key, value if isinstance(value, str) else f"{value:.4g}", unit, how, "derived")
+
+
+def latch_path(config: Config, environment: Mapping[str, str] = os.environ) -> Path:
+    """Return the file of the emergency stop's latch: in the service's state directory, otherwise next to the logs.
+
+    The axis names the file: a robot has one axis, whichever configuration and port its daemon uses.
+    """
+    directory = environment.get("STATE_DIRECTORY", "").partition(":")[0]
+    rail = config.drivers.rail
+    name = re.sub(r"[^A-Za-z0-9.-]", "_", f"stop-{rail.host}-{rail.port}")
+    return (Path(directory) if directory else config.recorder.directory) / f"{name}.json"
+
+
+EXAMPLE = PACKAGE / "softarm.yaml"  # every key at its default, with its meaning
+TWIN = PACKAGE / "twin.yaml"  # twin and daemon on one computer
+
+
+class KeyRow(NamedTuple):
+    """One configuration key and its allowed values."""
+
+    key: str
+    unit: str  # empty if it has none
+    allowed: str
+    default: str
+    meaning: str
+
+
+def key_rows() -> Iterator[KeyRow]:
+    """Yield all keys that hold a value, in the schema's order, with the meanings from the packaged softarm.yaml."""
+    text = EXAMPLE.read_text(encoding="utf-8")
+    lines, places = text.splitlines(), yaml_lines.parse(text, EXAMPLE).lines
+    for key in leaves(Config):
+        line = lines[places[key.path] - 1]
+        allowed = key.allowed + (" or null" if key.nullable and "null" not in key.allowed else "")
+        default = "none" if key.default == shown({}) else key.default
+        yield KeyRow(key.name, key.unit, allowed, default, line.partition(" # ")[2].strip())
+
+
+def for_a_simulated_robot() -> str:
+    """Return a configuration file for `softarm run --simulated`: as for a real robot, without its drivers."""
+    lines = EXAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
+    begin = lines.index("drivers:\n")
+    end = next(n for n in range(begin + 1, len(lines)) if lines[n][0] not in " #\n")
+    return "".join(lines[:begin] + lines[end:])

@@ -153,3 +153,6 @@ class TickTiming:
     compute_ns: int
     write_ns: int
     sensor_to_command_ns: int | None  # age of the newest mocap frame when the command was sent
+
+
+Tick = tuple[Inputs, Outputs, TickTiming]

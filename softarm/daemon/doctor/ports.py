@@ -18,7 +18,7 @@ from pathlib import Path
 
 from softarm.common.finding import Finding, ok, problem, warning
 from softarm.daemon.access import sockets
-from softarm.daemon.access.holders import holders
+from softarm.daemon.access.sockets import holders
 from softarm.drivers.mocap import plugged
 from softarm.schemas.config import Config, Ros
 

@@ -13,9 +13,9 @@ import time
 from collections import deque
 from typing import IO, BinaryIO, cast
 
+from softarm.daemon.control.records import Tick
 from softarm.daemon.logbook import ticks
-from softarm.daemon.logbook.thinning import Tick
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 

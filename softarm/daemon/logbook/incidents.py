@@ -19,7 +19,7 @@ from softarm.common import files, revision
 from softarm.daemon.access.auth import TOKEN_FILES
 from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook import folder
-from softarm.daemon.logbook.tick_file import PACKAGES, TickFile
+from softarm.daemon.logbook.ticks import PACKAGES, TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.recordings.live import LogMessage

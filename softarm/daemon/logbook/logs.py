@@ -1,19 +1,19 @@
 """Reads logs as ticks, also those of a killed daemon."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import ticks
-from softarm.daemon.logbook.changes import Changes
-from softarm.daemon.logbook.history import utc
+from softarm.daemon.logbook.history import Changes, utc
 from softarm.recordings import mcap_file
 from softarm.recordings.channels import EVENT
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log
+from softarm.schemas.config import Limits
 from softarm.schemas.events import Entry
 
 
@@ -79,3 +79,22 @@ def parts(paths: Sequence[Path]) -> list[TickLog]:
                 "their order, or one alone"
             )
     return opened
+
+
+def exceeded(ticks: Iterable[tuple[Inputs, Outputs]], limits: Limits) -> list[str]:
+    """Return a sentence per exceeded limit, for the read-back of the axis and the sent commands."""
+    carts_m, velocities_m_s, pressures_kpa = [], [], []
+    for inputs, outputs in ticks:
+        if inputs.rail is not None:
+            carts_m.append(inputs.rail.position_m)
+        velocities_m_s.append(abs(outputs.sent.cart_velocity_m_s))
+        pressures_kpa.append(outputs.sent.pressure_kpa)
+    rail, pressure = limits.rail, limits.pressure
+    problems = []
+    if carts_m and not rail.position_min_m <= min(carts_m) <= max(carts_m) <= rail.position_max_m:
+        problems.append(f"the cart left its limits: {min(carts_m):.3f} to {max(carts_m):.3f} m")
+    if any(velocity > rail.velocity_max_m_s for velocity in velocities_m_s):
+        problems.append("a velocity above its limit was sent")
+    if not all(pressure.min_kpa <= kpa <= pressure.max_kpa for kpa in pressures_kpa):
+        problems.append("a pressure outside its limits was sent")
+    return problems

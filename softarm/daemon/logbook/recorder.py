@@ -15,13 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
-from softarm.daemon.control.records import Inputs, Outputs, TickTiming
+from softarm.daemon.control.records import Inputs, Outputs, Tick, TickTiming
 from softarm.daemon.logbook import folder, ticks
 from softarm.daemon.logbook.history import History
 from softarm.daemon.logbook.incidents import Incidents
 from softarm.daemon.logbook.recent import Recent
-from softarm.daemon.logbook.thinning import Thinning, Tick
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.thinning import Thinning
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.schemas.config import Config

@@ -7,10 +7,8 @@ a change can still be written.
 import math
 from collections import deque
 
-from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.control.records import Inputs, Mode, Outputs, Tick
 from softarm.schemas.messages import MocapFrame
-
-Tick = tuple[Inputs, Outputs, TickTiming]
 
 OFF = (Mode.DISARMED, Mode.STOPPED)
 # Smaller changes are sensor noise.

@@ -14,9 +14,8 @@ import zenoh
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, Inbox, InboxFull, unanswered
 from softarm.daemon.control.records import Outputs, RequestKind
-from softarm.daemon.ros import messages, wire
-from softarm.daemon.ros.messages import Messages
-from softarm.daemon.ros.wire import Node
+from softarm.daemon.ros import messages
+from softarm.daemon.ros.messages import Messages, Node
 from softarm.drivers.mocap.zenoh_session import ClientThread
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
@@ -41,8 +40,8 @@ class _Asked:
 class _Publisher:
     """Publisher of one topic with its liveliness token."""
 
-    def __init__(self, session: zenoh.Session, node: Node, number: int, topic: wire.Topic) -> None:
-        self._token = node.endpoint(number, wire.PUBLISHER, topic)
+    def __init__(self, session: zenoh.Session, node: Node, number: int, topic: messages.Topic) -> None:
+        self._token = node.endpoint(number, messages.PUBLISHER, topic)
         self._alive = session.liveliness().declare_token(self._token)
         self._publisher = session.declare_publisher(
             topic.key(node.domain), congestion_control=zenoh.CongestionControl.DROP
@@ -51,7 +50,7 @@ class _Publisher:
 
     def put(self, data: bytes, now_ns: int) -> None:
         self._sequence += 1
-        self._publisher.put(data, attachment=wire.attachment(self._sequence, now_ns, self._token))
+        self._publisher.put(data, attachment=messages.attachment(self._sequence, now_ns, self._token))
 
 
 class RosNode(ClientThread):
@@ -93,7 +92,7 @@ class RosNode(ClientThread):
             publishers[name] = _Publisher(session, node, len(publishers) + 1, topic)
         for k, (name, take) in enumerate(self._commands()):
             topic = self._messages.topic(f"{ros.name}/{name}", messages.COMMANDS[name])
-            token = node.endpoint(len(publishers) + 1 + k, wire.SUBSCRIPTION, topic)
+            token = node.endpoint(len(publishers) + 1 + k, messages.SUBSCRIPTION, topic)
             declared.append(session.declare_subscriber(topic.key(ros.domain_id), take))
             declared.append(session.liveliness().declare_token(token))
         log.info("ROS 2: connected to %s, topics under /%s, commands: %s", self._endpoint, ros.name, ros.commands)

@@ -14,8 +14,7 @@ from softarm.common.yaml_lines import Place
 from softarm.daemon.access import sockets
 from softarm.daemon.access.auth import AuthError, is_loopback, load_tokens
 from softarm.daemon.config import configuration
-from softarm.daemon.config.configuration import ConfigurationError, Loaded
-from softarm.daemon.config.places import latch_path
+from softarm.daemon.config.configuration import ConfigurationError, Loaded, latch_path
 from softarm.daemon.logbook import folder
 from softarm.daemon.stop import latch
 from softarm.drivers.mocap import plugged

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 from softarm.common import files
 from softarm.daemon.config import configuration
 from softarm.daemon.control import workspace
-from softarm.daemon.control.records import Inputs, Outputs, TickTiming
+from softarm.daemon.control.records import Tick
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.evaluation.notebook import needs
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicySpec
@@ -30,7 +30,6 @@ from softarm.schemas.model import Model
 AFTER_S = 1.0  # recorded after the goal's end
 HEIGHT_PX = 1330  # of the frame in a notebook: arm and charts without scrolling
 R = TypeVar("R")
-Tick = tuple[Inputs, Outputs, TickTiming]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,7 +6,7 @@ import pytest
 
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.schemas.config import Config

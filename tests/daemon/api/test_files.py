@@ -11,7 +11,7 @@ from urllib.parse import quote, unquote
 import httpx
 import pytest
 
-from softarm.daemon.access.holders import holders
+from softarm.daemon.access.sockets import holders
 from softarm.daemon.api.endpoints import files
 from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs

@@ -13,8 +13,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
 from softarm.daemon.access.sockets import ApiError
+from softarm.daemon.api.endpoints.observation import Pace
 from softarm.daemon.api.server import ApiServer
-from softarm.daemon.api.stream import Pace
 from softarm.schemas.config import Api
 
 LOCAL = "http://127.0.0.1"

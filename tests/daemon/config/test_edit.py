@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from softarm.common import yaml_lines
 from softarm.common.yaml_lines import FileError
+from softarm.daemon.config.configuration import EXAMPLE, TWIN
 from softarm.daemon.config.edit import with_values
-from softarm.daemon.config.keys import EXAMPLE, TWIN
 
 RAIL = ("drivers", "rail")
 FILE = Path("arm.yaml")

@@ -1,11 +1,12 @@
 """Findings of the doctor on Python, packages and extras."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from softarm.common.finding import State
-from softarm.daemon.doctor import software
+from softarm.daemon.doctor import software, untried
 from softarm.daemon.doctor.software import Package, Software
 
 HERE = Software(
@@ -55,3 +56,11 @@ def test_the_installed_packages_meet_the_projects_requirements():
     assert {"numba", "torch", "gymnasium"} <= names
     assert all(each.fits for each in facts.core)
     assert all(each.fits for each in facts.extras["sim"])
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "hardware" / "untried.md"
+
+
+def test_the_page_is_generated_from_the_constants():
+    remedy = "stale: run `python -m softarm.daemon.doctor.untried > docs/hardware/untried.md`"
+    assert PAGE.read_text(encoding="utf-8") == untried.page(), remedy

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from softarm.daemon.config import keys
-from softarm.daemon.install import here, plan, rendered
+from softarm.daemon.config import configuration
+from softarm.daemon.install import here, plan
 from softarm.daemon.install.plan import System, Wanted
 from softarm.daemon.install.steps import Folder, Keep, Remove, Run, StepError, Write
 from softarm.schemas.config import Api, Config, Drivers, Policy, Recorder, SerialRegulator
 
 COMMAND = ("/opt/softarm/.venv/bin/softarm",)
-PACKAGED = Wanted(keys.EXAMPLE.read_text(encoding="utf-8"), Config(), asked_for=False)
+PACKAGED = Wanted(configuration.EXAMPLE.read_text(encoding="utf-8"), Config(), asked_for=False)
 OTHER = Config(recorder=Recorder(queue_max=500))
 
 
@@ -36,10 +36,10 @@ def system(files=None, **changes):
 def installed(user="softarm", text=PACKAGED.text):
     """Return the files of a finished installation."""
     return {
-        rendered.CONFIGURATION: text,
-        plan.UNIT_PATH: rendered.unit(COMMAND, user, Config()),
-        plan.RULE_PATH: rendered.RULE.read_text(),
-        rendered.STATE / "logs" / "softarm-20260101T000000Z.mcap": "a log",
+        plan.CONFIGURATION: text,
+        plan.UNIT_PATH: plan.unit_text(COMMAND, user, Config()),
+        plan.RULE_PATH: plan.RULE.read_text(),
+        plan.STATE / "logs" / "softarm-20260101T000000Z.mcap": "a log",
     }
 
 
@@ -54,11 +54,11 @@ def commands(done):
 def test_on_a_new_computer_everything_is_installed():
     done = steps(system(groups=frozenset()))
     assert [step.path for step in done if isinstance(step, Write)] == [
-        rendered.CONFIGURATION,
+        plan.CONFIGURATION,
         plan.UNIT_PATH,
         plan.RULE_PATH,
     ]
-    assert [step.path for step in done if isinstance(step, Folder)] == [rendered.STATE, rendered.STATE / "logs"]
+    assert [step.path for step in done if isinstance(step, Folder)] == [plan.STATE, plan.STATE / "logs"]
     assert {step.owner for step in done if isinstance(step, Folder)} == {"softarm"}
     assert [line.split()[0] for line in commands(done)] == [
         "groupadd", "useradd", "udevadm", "udevadm", "systemctl", "systemctl",
@@ -83,7 +83,7 @@ def test_a_given_configuration_is_stored_next_to_the_existing_one():
     done = steps(system(installed()), asked)
     (new,) = [step for step in done if isinstance(step, Write)]
     assert (new.path, new.text) == (Path("/etc/softarm/softarm.yaml.new"), asked.text)
-    (reason,) = [step.why for step in done if isinstance(step, Keep) and step.path == rendered.CONFIGURATION]
+    (reason,) = [step.why for step in done if isinstance(step, Keep) and step.path == plan.CONFIGURATION]
     assert "recorder.queue_max: 500, not 600" in reason
     same = steps(system(installed()), replace(asked, installed=asked.config))
     assert not [step for step in same if isinstance(step, Write)]
@@ -104,63 +104,63 @@ def test_uninstalling_removes_unit_and_rule_and_no_user_files():
     done = list(plan.uninstall(system(installed(), users=frozenset({"softarm"})), "softarm"))
     assert [step.path for step in done if isinstance(step, Remove)] == [plan.UNIT_PATH, plan.RULE_PATH]
     assert commands(done) == ["systemctl disable --now softarmd", "systemctl daemon-reload", "udevadm control --reload"]
-    assert {step.path for step in done if isinstance(step, Keep)} == {Path("/etc/softarm"), rendered.STATE}
+    assert {step.path for step in done if isinstance(step, Keep)} == {Path("/etc/softarm"), plan.STATE}
     nothing = list(plan.uninstall(system(), "softarm"))
     assert {type(step) for step in nothing} == {Keep}
 
 
 def test_the_unit_runs_the_environment_it_is_installed_from_as_the_user():
-    text = rendered.unit(("/opt/my arm/bin/softarm",), "ann", Config())
+    text = plan.unit_text(("/opt/my arm/bin/softarm",), "ann", Config())
     assert 'ExecStart="/opt/my arm/bin/softarm" run --config /etc/softarm/softarm.yaml' in text.splitlines()
     assert {"User=ann", "Group=ann"} <= set(text.splitlines())
     assert "ReadWritePaths" not in text
     page = re.search(r"Documentation=file://(\S+)", text)
     assert page is not None
     assert Path(page[1]).is_file()
-    assert "%%n" in rendered.unit(("/opt/%n/softarm",), "ann", Config())
+    assert "%%n" in plan.unit_text(("/opt/%n/softarm",), "ann", Config())
 
 
 def test_the_service_may_write_to_another_log_folder():
     config = Config(recorder=Recorder(directory=Path("/data/logs")))
-    assert "ReadWritePaths=/data/logs" in rendered.unit(COMMAND, "softarm", config).splitlines()
+    assert "ReadWritePaths=/data/logs" in plan.unit_text(COMMAND, "softarm", config).splitlines()
     done = steps(system(), replace(PACKAGED, config=config))
     assert Path("/data/logs") in [step.path for step in done if isinstance(step, Folder)]
 
 
 def test_the_program_is_the_interpreters_script_or_the_module(tmp_path):
-    assert rendered.program(tmp_path / "python") == (str(tmp_path / "python"), "-m", "softarm.cli.main")
+    assert plan.program(tmp_path / "python") == (str(tmp_path / "python"), "-m", "softarm.cli.main")
     (tmp_path / "softarm").write_text("")
-    assert rendered.program(tmp_path / "python") == (str(tmp_path / "softarm"),)
+    assert plan.program(tmp_path / "python") == (str(tmp_path / "softarm"),)
 
 
 def test_paths_hidden_from_the_service_are_reported():
-    assert rendered.hidden(("/opt/softarm/.venv", "/usr/bin/python3")) == []
-    assert rendered.hidden(("/opt/x", "/root/.pyenv/bin/python3", "/home/ann/.venv")) == [
+    assert plan.hidden(("/opt/softarm/.venv", "/usr/bin/python3")) == []
+    assert plan.hidden(("/opt/x", "/root/.pyenv/bin/python3", "/home/ann/.venv")) == [
         "/root/.pyenv/bin/python3",
         "/home/ann/.venv",
     ]
-    assert rendered.hidden(("/homes/ann",)) == []
-    assert rendered.hidden(()) == []
+    assert plan.hidden(("/homes/ann",)) == []
+    assert plan.hidden(()) == []
 
 
 def test_files_that_a_configuration_names_are_found():
     tokens = Api(token_file=Path("/home/ann/token"), view_token_file=Path("/etc/softarm/view"))
     mine = Policy(plugin="onnx", options={"model": "/home/ann/mine.onnx", "gain": 2.0, "name": "reach"})
-    named = rendered.named_files(Config(api=tokens, policies={"mine": mine}))
+    named = plan.named_files(Config(api=tokens, policies={"mine": mine}))
     assert named == ("/home/ann/token", "/etc/softarm/view", "/home/ann/mine.onnx")
-    assert rendered.named_files(Config()) == ()
+    assert plan.named_files(Config()) == ()
 
 
 @pytest.mark.parametrize(("port", "opened"), [("/dev/ttyUSB0", True), ("/dev/ttyACM0", False)])
 def test_the_unit_opens_an_adapters_port_where_one_is_configured(port, opened):
     config = Config(drivers=Drivers(regulator=SerialRegulator(port=port)))
-    assert ("DeviceAllow=char-ttyUSB rw" in rendered.unit(COMMAND, "softarm", config).splitlines()) is opened
+    assert ("DeviceAllow=char-ttyUSB rw" in plan.unit_text(COMMAND, "softarm", config).splitlines()) is opened
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not on this machine")
 def test_systemd_accepts_the_rendered_unit_and_reports_a_wrong_one():
     config = Config(recorder=Recorder(directory=Path("/var/log/soft arm")))
-    unit = rendered.unit(("/bin/true",), "root", config)
+    unit = plan.unit_text(("/bin/true",), "root", config)
     assert here.verify(unit) is None
     said = here.verify(unit.replace("NoNewPrivileges", "NoNewPrivilege"))
     assert said is not None

@@ -3,7 +3,7 @@
 import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs
-from softarm.daemon.logbook.exceeded import exceeded
+from softarm.daemon.logbook.logs import exceeded
 from softarm.schemas.config import Limits
 from softarm.schemas.messages import Command, RailReading
 

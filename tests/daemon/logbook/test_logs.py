@@ -14,8 +14,7 @@ from mcap.reader import make_reader
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request, RequestResult, TickTiming
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.logbook.tick_file import TickFile
-from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter
+from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter, TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings.channels import EVENT
 from softarm.recordings.mcap_file import LogError

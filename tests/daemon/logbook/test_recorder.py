@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook import folder, logs
 from softarm.daemon.logbook.recorder import Recorder, RecorderError
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.recordings.mcap_file import is_finished
@@ -304,7 +304,7 @@ CHILD = """
 import os, struct, sys, time
 from tests_support import make_tick
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.logbook.tick_file import TickFile
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.schemas.config import Config
 
 queued, written, flush, write = 0, 0, TickFile.flush, TickFile.write

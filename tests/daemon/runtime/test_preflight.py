@@ -8,7 +8,7 @@ import pytest
 
 from softarm.common import realtime
 from softarm.daemon.access.sockets import listen
-from softarm.daemon.config.places import latch_path
+from softarm.daemon.config.configuration import latch_path
 from softarm.daemon.runtime import preflight
 from softarm.daemon.stop.latch import LatchKeeper
 

@@ -12,7 +12,7 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.config.places import latch_path
+from softarm.daemon.config.configuration import latch_path
 from softarm.daemon.stop import latch
 from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded
 from softarm.schemas.config import Config

@@ -57,7 +57,7 @@ def test_a_truncated_log_is_read_to_its_end(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
-    from softarm.daemon.logbook.tick_file import TickFile
+    from softarm.daemon.logbook.ticks import TickFile
 
     with live.open("wb") as file:
         writer = TickFile(file)

@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 from natnet import NatNetClient
 
-from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Status
+from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, Status
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import Conversation
 from softarm.drivers.bridge.frame import Plane
 from softarm.drivers.bridge.look import look_at
 from softarm.drivers.bridge.natnet import Frame
-from softarm.drivers.bridge.publisher import Publisher
 from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.twin import motive
 from softarm.drivers.twin.motive import IDS, Motive, bodies_of

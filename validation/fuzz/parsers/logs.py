@@ -11,14 +11,14 @@ from validation.fuzz.parsers.base import Parser, folder, parser, written
 @cache
 def example() -> bytes:
     """Return a short flight as a killed recorder leaves it, without chunks and end."""
-    from benchmarks.ticks import Ticks
-    from softarm.daemon.logbook.tick_file import TickFile
+    from softarm.daemon.control.records import Tick
+    from softarm.daemon.logbook.ticks import TickFile
     from softarm.daemon.runtime.offline import Lockstep
     from softarm.policies.hold import Hold
     from softarm.schemas.config import Config
 
-    ticks = Ticks()
-    Lockstep(Config(), Hold(), record=ticks.tick).arm()
+    ticks: list[Tick] = []
+    Lockstep(Config(), Hold(), record=lambda *tick: ticks.append(tick)).arm()
     path = folder() / "live.mcap"
     with path.open("wb") as file:
         live = TickFile(file)

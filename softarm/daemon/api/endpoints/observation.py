@@ -2,9 +2,10 @@
 
 import asyncio
 import math
+import time
 from typing import Any
 
-from fastapi import APIRouter, WebSocket
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from fastapi.responses import Response
 
 from softarm import __version__
@@ -13,8 +14,7 @@ from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.endpoints import metrics
 from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX
 from softarm.daemon.api.refusals import Refused, answers, content, json_response, query_integer, refusal
-from softarm.daemon.api.status import Status, StatusView
-from softarm.daemon.api.stream import stream
+from softarm.daemon.api.status import POLL_S, Status, StatusView
 from softarm.daemon.api.workers import Workers
 from softarm.daemon.control.workspace import HINGE_Z_M
 from softarm.daemon.logbook import folder
@@ -131,6 +131,49 @@ class Observation:
         else:
             self._streams += 1
             try:
-                await stream(self._view, socket, rate)
+                await send_statuses(self._view, socket, rate)
             finally:
                 self._streams -= 1
+
+
+class Pace:
+    """Rate limit of a stream: on average at most `hz` a second, without skipping ticks."""
+
+    def __init__(self, hz: float) -> None:
+        self._period_s = 1 / hz
+        self._due_s = float("-inf")
+
+    def wait_s(self, now_s: float) -> float:
+        """Return the time until the next status may be sent; 0 or less means now."""
+        return self._due_s - now_s
+
+    def sent(self, now_s: float) -> None:
+        """Count a sent status. The next one is due a period after this one was due, or now if that has passed."""
+        self._due_s = max(self._due_s + self._period_s, now_s)
+
+
+async def send_statuses(view: StatusView, socket: WebSocket, hz: float) -> None:
+    """Send every status that is new, at most `hz` times a second, until the client leaves."""
+    await socket.accept()
+    sender = asyncio.create_task(_send(view, socket, Pace(hz)))
+    try:
+        while (await socket.receive())["type"] != "websocket.disconnect":
+            pass  # messages of the client are ignored
+    except WebSocketDisconnect:
+        pass
+    finally:
+        sender.cancel()
+        await asyncio.gather(sender, return_exceptions=True)
+
+
+async def _send(view: StatusView, socket: WebSocket, pace: Pace) -> None:
+    sent = None
+    while True:
+        wait_s = pace.wait_s(time.monotonic())
+        data = view.json() if wait_s <= 0 else None
+        if data is not None and data is not sent:
+            sent = data
+            pace.sent(time.monotonic())
+            await socket.send({"type": "websocket.send", "text": data.decode()})
+        else:
+            await asyncio.sleep(max(wait_s, POLL_S))

@@ -2,12 +2,14 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
 import yaml
 
-from softarm.daemon.runtime.first_policy import first_policy
+from softarm.daemon.assembly import first_policy
 from softarm.policies.base import PolicyError
 from softarm.schemas.config import Config
 from tests.processes import running, until
@@ -58,3 +60,22 @@ def test_a_service_whose_first_policy_hangs_ends_on_request(plugin, tmp_path):
         until((tmp_path / "mark").exists)
         process.send_signal(signal.SIGTERM)
         assert process.wait(5) == 0
+
+
+# The signal comes just before, while and after the main thread begins to wait.
+PROGRAM = """
+import signal, threading
+from softarm.daemon.assembly import wait_for
+for turn in range(1000):
+    stop = threading.Event()
+    signal.signal(signal.SIGALRM, lambda *_: stop.set())
+    signal.setitimer(signal.ITIMER_REAL, 1e-5 + turn % 50 * 1e-6)
+    wait_for(stop, 1e-4)
+print("every time")
+"""
+
+
+@pytest.mark.slow
+def test_a_signal_at_any_instant_ends_the_wait():
+    ended = subprocess.run([sys.executable, "-c", PROGRAM], check=False, capture_output=True, text=True, timeout=60)
+    assert ended.stdout == "every time\n", ended.stderr
