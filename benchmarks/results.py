@@ -60,7 +60,6 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": (*_DIAGNOSIS, "softarm/reality"),
     "faults": (*_FLIGHTS, "softarm/reality"),
-    "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
     "grid": _FLIGHTS,
     "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),
     "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),

@@ -143,15 +143,6 @@ def loop(read: Read) -> str:
     return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
 
-def first_use(read: Read) -> str:
-    """Return a new user's first minutes."""
-    rows = [
-        [each["step"], f"{each['after_s']:.0f} s", f"{each['aim_s']:.0f} s" if each["aim_s"] else ""]
-        for each in read("first-use")["steps"]
-    ]
-    return markdown(("", "after", "aim"), rows)
-
-
 def stop(read: Read) -> str:
     """Return how soon a stop is answered under attack."""
     rows = []
@@ -418,7 +409,6 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "time-to-level": time_to_level,
     "faults": faults,
     "loop": loop,
-    "first-use": first_use,
     "stop": stop,
     "bridging": bridging,
     "estimates": estimates,

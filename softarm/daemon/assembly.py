@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Self
 
 from softarm.common import realtime
-from softarm.daemon.access.login import Sessions
+from softarm.daemon.access.auth import Sessions
 from softarm.daemon.api.app import create_app
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.server import ApiServer

@@ -3,6 +3,9 @@
 import contextlib
 import os
 import re
+import shlex
+import signal
+import subprocess
 import sys
 import sysconfig
 import time
@@ -11,12 +14,24 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tools.first_use import daemon, typed
-
 PAGE = Path(__file__).parents[2] / "docs/tutorial.md"
+_SERVING = re.compile(r"serving (http://\S+)")
 _BLOCK = re.compile(r'^```sh title="([^"]+)"\n(.*?)^```', re.MULTILINE | re.DOTALL)
 
 pytestmark = pytest.mark.slow
+
+
+@contextlib.contextmanager
+def daemon(folder: Path, environment: dict[str, str], command: str):
+    """Run the daemon on a free port while the context lasts and yield its URL."""
+    ports = folder / "ports.yaml"
+    ports.write_text("api: {port: 0, stop_port: 0}\n", encoding="utf-8")
+    program = [*shlex.split(command), "--config", str(ports)]
+    with subprocess.Popen(program, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as running:
+        try:
+            yield next(found[1] for line in running.stdout if (found := _SERVING.search(line)))
+        finally:
+            running.send_signal(signal.SIGINT)
 
 
 class Terminals:
@@ -50,7 +65,12 @@ class Terminals:
     def run(self, command: str) -> str:
         """Run a command to its end and return its output."""
         install = f"pip install -q --no-deps --no-build-isolation -t {self._plugins} ./"
-        return typed(command.replace("pip install --editable ", install), self._folder, self._environment)
+        command = command.replace("pip install --editable ", install)
+        done = subprocess.run(
+            command, shell=True, cwd=self._folder, env=self._environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        return done.stdout
 
     def interrupt(self) -> None:
         """Send Ctrl-C to the running command."""

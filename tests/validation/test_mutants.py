@@ -2,8 +2,7 @@
 
 import pytest
 
-from validation.mutants import explained
-from validation.mutants.__main__ import prove
+from validation.mutants.__main__ import explanations, prove
 from validation.mutants.operators import mutants
 from validation.mutants.targets import TARGETS
 
@@ -15,7 +14,7 @@ SMOKE = "daemon/control/following.py"
 def test_every_explained_mutant_still_exists(module):
     keys = [mutant.key for mutant in mutants(TARGETS[module].source)]
     assert len(set(keys)) == len(keys)
-    assert explained.read().get(module, {}).keys() <= set(keys)
+    assert explanations().get(module, {}).keys() <= set(keys)
 
 
 # Over 3 s: the tests of a module run three times, in processes of their own.

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 from rich.box import SIMPLE
@@ -19,11 +19,36 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from benchmarks import results
+from softarm.common import yaml_lines
 from softarm.common.processes import bar, cores
-from validation.mutants import explained
 from validation.mutants.operators import Key, Mutant, mutants
 from validation.mutants.targets import TARGETS, Target
 from validation.mutants.trials import trials
+
+FILE = Path(__file__).with_name("explained.yaml")
+
+
+def explanations() -> dict[str, dict[Key, str]]:
+    """Return the reasons of the file: module -> key of the mutant -> reason. Raises FileError, KeyError, ValueError."""
+    modules = yaml_lines.read(FILE, "it lists the mutants that may live").data or {}
+    return {
+        module: {key: entry["why"] for entry in entries for key in _keys(entry)} for module, entries in modules.items()
+    }
+
+
+def _keys(entry: dict[str, Any]) -> list[Key]:
+    if not entry["why"]:
+        raise ValueError(f"an entry says why the mutant may live: {entry}")
+    instead = entry["now"] if isinstance(entry["now"], list) else [entry["now"]]
+    return [(entry["in"], entry["was"], now, entry.get("which", 1)) for now in instead]
+
+
+def as_entry(mutant: Mutant) -> str:
+    """Return a mutant in the format of the file, for a person to add the reason."""
+    was, now = (text.replace("'", "''") for text in (mutant.was, mutant.now))
+    lines = [f"in: {mutant.function}", f"was: '{was}'", f"now: '{now}'"]
+    lines += [f"which: {mutant.which}"] if mutant.which > 1 else []
+    return "  - " + "\n    ".join([*lines, "why:"])
 
 
 class Found(NamedTuple):
@@ -38,7 +63,7 @@ class Found(NamedTuple):
 def prove(target: Target, jobs: int, sample: int | None = None, seed: int = 0) -> Found:
     """Try the mutants of a module, or a sample of them. Raises FailsUnchanged as `trials` does."""
     start_s = time.monotonic()
-    known = explained.read().get(target.module, {})
+    known = explanations().get(target.module, {})
     chosen = every = mutants(target.source)
     if sample is not None:
         chosen = Random(seed).sample(every, min(sample, len(every)))
@@ -95,7 +120,7 @@ def main(modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, jso
         if each.unexplained:
             click.echo(f"\n# No test notices; explained.yaml would say why none needs to:\n{module}:")
         for mutant in each.unexplained:
-            click.echo(explained.as_entry(mutant))
+            click.echo(as_entry(mutant))
     figures = {module: {**each.figures, "tests": TARGETS[module].tests} for module, each in found.items()}
     results.write(json_file, {"modules": figures})
     raise SystemExit(any(each.unexplained or each.stale for each in found.values()))

@@ -11,8 +11,7 @@ from softarm.cli.shared.errors import fail
 from softarm.cli.shared.printing import print_json, print_table, waiting, warn
 
 if TYPE_CHECKING:
-    from softarm.drivers.bridge.bridging import Status
-    from softarm.drivers.bridge.look import Row
+    from softarm.drivers.bridge.bridging import Row, Status
     from softarm.schemas.bridge import Bridge
 
 LOOK_S = 10.0  # time for the first frame
@@ -20,8 +19,8 @@ LOOK_S = 10.0  # time for the first frame
 
 def look(config: "Bridge", address: str, as_json: bool) -> None:
     """Print the bodies that a server streams, and the frames that the daemon would receive."""
+    from softarm.drivers.bridge.bridging import look_at
     from softarm.drivers.bridge.client import Client
-    from softarm.drivers.bridge.look import look_at
 
     with waiting(f"looking at {address}"), Client(config, address, warn) as client:
         found = look_at(config, client, LOOK_S)

@@ -8,8 +8,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from softarm import __version__
-from softarm.daemon.access.auth import AccessControl
-from softarm.daemon.access.login import Sessions
+from softarm.daemon.access.auth import AccessControl, Sessions
 from softarm.daemon.api.bounds import Guard
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.endpoints.commands import Commands

@@ -8,8 +8,7 @@ from urllib.parse import parse_qs
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from softarm.daemon.access.auth import AccessControl, Role
-from softarm.daemon.access.login import Sessions
+from softarm.daemon.access.auth import AccessControl, Role, Sessions
 from softarm.daemon.api.refusals import refusal
 from softarm.schemas.rest import API_HEADER, API_VERSION
 

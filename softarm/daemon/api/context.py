@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from softarm.daemon.access.login import Sessions
+from softarm.daemon.access.auth import Sessions
 from softarm.daemon.api.endpoints.policies import Policies
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import Outputs, Problems

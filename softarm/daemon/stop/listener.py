@@ -20,8 +20,7 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 
 from softarm.common import realtime
-from softarm.daemon.access.auth import AccessControl, Role
-from softarm.daemon.access.login import Sessions
+from softarm.daemon.access.auth import AccessControl, Role, Sessions
 from softarm.daemon.access.sockets import listen
 from softarm.daemon.control.inbox import ANSWER_S, Inbox, unanswered
 from softarm.daemon.control.records import Outputs

@@ -7,8 +7,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from softarm.daemon.access.auth import Role
-from softarm.daemon.access.login import LOGIN_S, LOGINS_MAX, TICKET_S, SecretStore, Sessions
+from softarm.daemon.access.auth import LOGIN_S, LOGINS_MAX, TICKET_S, Role, SecretStore, Sessions
 from softarm.schemas.config import Api, Config
 
 TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}

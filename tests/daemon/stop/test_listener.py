@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.daemon.access.auth import AuthError, Role
-from softarm.daemon.access.login import LOGIN_S, LOGINS_MAX, Sessions
+from softarm.daemon.access.auth import LOGIN_S, LOGINS_MAX, AuthError, Role, Sessions
 from softarm.daemon.access.sockets import ApiError
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode

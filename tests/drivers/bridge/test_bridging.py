@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 from natnet import NatNetClient
 
-from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, Status
+from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, Status, look_at
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import Conversation
 from softarm.drivers.bridge.frame import Plane
-from softarm.drivers.bridge.look import look_at
 from softarm.drivers.bridge.natnet import Frame
 from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.twin import motive

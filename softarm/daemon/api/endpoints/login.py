@@ -7,8 +7,7 @@ from fastapi import APIRouter, Body, Request
 from fastapi.openapi.models import Example
 from fastapi.responses import Response
 
-from softarm.daemon.access.auth import AccessControl, Role
-from softarm.daemon.access.login import TICKET_S, Sessions
+from softarm.daemon.access.auth import TICKET_S, AccessControl, Role, Sessions
 from softarm.daemon.api.bounds import SESSION, WHO
 from softarm.daemon.api.refusals import Refused, answers, json_response
 from softarm.schemas.rest import LoginAnswer, LoginBody, RoleName, TicketAnswer

@@ -3,6 +3,8 @@
 import asyncio
 import math
 import time
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import accumulate
 from typing import Any
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
@@ -11,14 +13,14 @@ from fastapi.responses import Response
 from softarm import __version__
 from softarm.daemon.api.bounds import STREAMS_MAX
 from softarm.daemon.api.context import ApiContext
-from softarm.daemon.api.endpoints import metrics
 from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX
 from softarm.daemon.api.refusals import Refused, answers, content, json_response, query_integer, refusal
 from softarm.daemon.api.status import POLL_S, Status, StatusView
 from softarm.daemon.api.workers import Workers
+from softarm.daemon.control.records import EStop, Mode, Outputs
 from softarm.daemon.control.workspace import HINGE_Z_M
 from softarm.daemon.logbook import folder
-from softarm.daemon.logbook.history import KEPT
+from softarm.daemon.logbook.history import KEPT, LATE_NS, History
 from softarm.daemon.logbook.recent import KEPT_S
 from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.messages import BODY_NAMES
@@ -26,6 +28,9 @@ from softarm.schemas.model import Arm
 from softarm.schemas.rest import EventsAnswer, Health, RecentAnswer, RobotAnswer
 from softarm.schemas.robot import CONTROL_RATE_HZ, RAIL_TRAVEL_M
 
+# Of GET /metrics: https://prometheus.io/docs/instrumenting/exposition_formats/
+PROMETHEUS = "text/plain; version=0.0.4"
+Samples = Iterable[tuple[str, float]]  # written labels and value
 RECENT_S = 10.0  # time limit for encoding the last minutes
 UNHEALTHY: dict[int | str, dict[str, Any]] = {
     503: {"model": Health, "description": "the robot cannot be used; the answer states why"}
@@ -113,8 +118,8 @@ class Observation:
         """Return figures for a Prometheus server in its text format."""
         recorder, settings = self._context.recorder, self._context.config.recorder
         free = await self._disk.run("reading the free disk space", lambda: folder.free_bytes(settings.directory))
-        text = metrics.exposition(self._view, self._context.history, recorder.dropped if recorder else 0, free)
-        return Response(text, media_type=metrics.TYPE)
+        text = exposition(self._view, self._context.history, recorder.dropped if recorder else 0, free)
+        return Response(text, media_type=PROMETHEUS)
 
     async def stream(self, socket: WebSocket, hz: str = str(CONTROL_RATE_HZ)) -> None:
         """Send every new status, at most `hz` times a second. A slow client gets fewer."""
@@ -177,3 +182,49 @@ async def _send(view: StatusView, socket: WebSocket, pace: Pace) -> None:
             await socket.send({"type": "websocket.send", "text": data.decode()})
         else:
             await asyncio.sleep(max(wait_s, POLL_S))
+
+
+def exposition(view: StatusView, history: History, dropped: int, free_bytes: int | None) -> str:
+    """Return all metrics available now, from the ticks dropped by the recorder and the disk's free space if known."""
+    outputs = view.snapshot()
+    events = [(f'{{kind="{kind}",what="{what}"}}', n) for (kind, what), n in history.counts.items()]
+    free = [] if free_bytes is None else [("", free_bytes)]
+    families = [
+        _family("info", "gauge", "Version of softarm.", [(f'{{version="{__version__}"}}', 1)]),
+        _family("healthy", "gauge", "1 if GET /api/health reports healthy.", [("", not view.why_unhealthy())]),
+        _family("recorder_dropped_total", "counter", "Ticks missing from the log.", [("", dropped)]),
+        _family("log_disk_free_bytes", "gauge", "Free space for logs.", free),
+        _family("events_total", "counter", "Events as in GET /api/events.", events),
+        _family("tick_late_seconds", "histogram", "Lateness of control ticks.", _lateness(history)),
+        *([] if outputs is None else _tick_families(view, outputs)),
+    ]
+    return "".join(f"{line}\n" for family in families for line in family)
+
+
+def _tick_families(view: StatusView, outputs: Outputs) -> Iterator[Iterator[str]]:
+    ages = {"tick": view.age_ns(outputs)}
+    if (seen := outputs.observed) is not None:
+        ages |= {"mocap": seen.mocap_age_ns, "pressure": seen.pressure_age_ns, "rail": seen.rail_age_ns}
+    yield _family("age_seconds", "gauge", "Age of the newest tick and of its readings.", _labelled("of", ages, 1e-9))
+    yield _family("mode", "gauge", "1 for the present mode.", _labelled("mode", {m: m is outputs.mode for m in Mode}))
+    stops: dict[str, float] = {state: state is outputs.estop for state in EStop}
+    yield _family("estop", "gauge", "1 for the present state.", _labelled("state", stops))
+    yield _family("ticks_total", "counter", "Control ticks.", [("", outputs.tick)])
+    yield _family("ticks_missed_total", "counter", "Skipped control ticks.", [("", outputs.missed_total)])
+    yield _family("policy_seconds", "gauge", "Duration of the policy step.", [("", outputs.policy_ns * 1e-9)])
+
+
+def _lateness(history: History) -> Samples:
+    *within, count = accumulate(history.lateness)
+    buckets = [(f'_bucket{{le="{late_ns * 1e-9:g}"}}', n) for late_ns, n in zip(LATE_NS, within, strict=True)]
+    return [*buckets, ('_bucket{le="+Inf"}', count), ("_sum", history.late_ns * 1e-9), ("_count", count)]
+
+
+def _labelled(label: str, values: Mapping[str, float], unit: float = 1) -> Samples:
+    return [(f'{{{label}="{name}"}}', value * unit) for name, value in values.items()]
+
+
+def _family(name: str, kind: str, about: str, samples: Samples) -> Iterator[str]:
+    yield f"# HELP softarm_{name} {about}"
+    yield f"# TYPE softarm_{name} {kind}"
+    yield from (f"softarm_{name}{labels} {float(value)!r}" for labels, value in samples)
