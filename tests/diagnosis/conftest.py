@@ -28,17 +28,20 @@ def one_thread():
         yield
 
 
-def _record(excitation: str, model: Model | None = None, seed: int = 0, noise: float = 1.0) -> Trial:
-    return _recorded(excitation, (model or Model()).model_dump_json(), seed, noise)
+def _record(
+    excitation: str, model: Model | None = None, seed: int = 0, noise: float = 1.0, length_s: float | None = None
+) -> Trial:
+    length_s = length_s or EXCITATIONS[excitation].duration_s + 0.5
+    return _recorded(excitation, (model or Model()).model_dump_json(), seed, noise, length_s)
 
 
 @cache
-def _recorded(excitation: str, model: str, seed: int, noise: float) -> Trial:
+def _recorded(excitation: str, model: str, seed: int, noise: float, length_s: float) -> Trial:
     """A trial at 1200 Hz physics: mocap at 120 Hz, commands, regulator and rail at 60 Hz."""
-    robot, plan = Simulator(Model.model_validate_json(model), physics_rate_hz=1200.0), EXCITATIONS[excitation]
+    robot = Simulator(Model.model_validate_json(model), physics_rate_hz=1200.0)
     for _ in range(90):  # hang still before the recording
         robot.step(0.0, 0.0, 1 / 30)
-    return _flight(excitation, robot, plan.duration_s + 0.5, seed, noise)
+    return _flight(excitation, robot, length_s, seed, noise)
 
 
 def _flight(
