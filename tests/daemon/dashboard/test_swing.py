@@ -176,13 +176,3 @@ def test_reduced_motion_shows_the_closest_moment_and_does_not_play(opened, robot
     page.wait_for_timeout(200)
     assert page.evaluate(OUTLINE) == held
     assert page.locator("#replay .play").inner_text() == "Play"
-
-
-def test_scripts_and_styles_stay_small(page):
-    page.evaluate("""() => import("/dashboard/swing/save.js")""")
-    sizes = page.evaluate(
-        """() => Promise.all(performance.getEntriesByType("resource").map((entry) => entry.name)
-          .filter((url) => /[.](js|css)$/.test(url)).map(async (url) => (await (await fetch(url)).text()).length))"""
-    )
-    assert len(sizes) > 20
-    assert sum(sizes) < 250_000

@@ -1,10 +1,11 @@
-"""Judgement of cells: it finds unsafe outcomes and wrong causes, and nothing else."""
+"""Fault matrix: the judgement of cells finds unsafe outcomes and wrong causes, and nothing else."""
 
 from dataclasses import replace
 
 import pytest
 
 from validation.matrix.cells import SAFE_S, Cell, Outcome, faults_of
+from validation.matrix.flight import fly_all
 
 SILENT = Cell("rail", "read", "time-out")
 SAFE = Outcome(stopped=True, braked_ms=300.0, vented_ms=400.0, farthest_m=0.2, causes=("rail_stale",))
@@ -38,3 +39,13 @@ def test_a_policy_that_stops_the_whole_daemon_may_cost_frames_but_is_named_first
     assert faults_of(freezing, replace(SAFE, causes=("rail_link_lost", "policy_fault"))) == [
         "wrong cause: rail_link_lost"
     ]
+
+
+# Over 3 s: one cell flies with all processes in real time.
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(170)
+def test_a_fault_ends_safely_with_the_right_cause():
+    ((cell, outcome),) = fly_all([Cell("rail", "read", "garbage")])
+    assert faults_of(cell, outcome) == []
+    assert outcome.stopped
