@@ -106,18 +106,25 @@ def held_out_rms(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dic
         fit: effects and their parameters by fold.
         folds: nuisances fitted without each fold, in units of the boxes' edges, [F, q].
     """
+    squares = held_out_squares(setup, plain, fit, folds)
+    samples = {view.stage: int(np.isfinite(view.measured).sum()) for view in setup.views}
+    return {stage: float(np.sqrt(each.sum() / max(samples[stage], 1))) for stage, each in squares.items()}
+
+
+def held_out_squares(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dict[str, Array]:
+    """Return the squares of each stage's gap by block, [B], in its squared unit; arguments as for `held_out_rms`."""
     numbers = np.unique(plain.fold, return_inverse=True)[1]
     fold_of = dict(zip(plain.blocks, numbers, strict=True))
+    place = {name: i for i, name in enumerate(plain.blocks)}
     points = fit.fold_points if fit.effects else [{}] * len(folds)
     found = {}
     for view, residual in zip(setup.views, plain.whitened, strict=True):
         moments = residual.moments(points)
-        squares = 0.0
+        squares = np.zeros(len(place))
         for name, part in residual.blocks:
             fold = fold_of[name]
             rows = moments[fold].rows[part] + folds[fold].astype(np.float32) @ residual.columns[:, part]
             left = rows.reshape(-1, len(view.floor)) * view.floor
-            squares += float((left**2).sum())
-        samples = int(np.isfinite(view.measured).sum())
-        found[view.stage] = float(np.sqrt(squares / max(samples, 1)))
+            squares[place[name]] += float((left**2).sum())
+        found[view.stage] = squares
     return found

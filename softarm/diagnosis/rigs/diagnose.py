@@ -16,6 +16,7 @@ from softarm.diagnosis.answer.calibration import calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
+from softarm.diagnosis.engine.calibration import held_out_squares
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
@@ -240,10 +241,10 @@ class _Stage:
 
     def _answer(self) -> StageAnswer:
         view, found, fit = self.view, self.found, self.fit
-        patched = found.setup.residuals(found.plain, fit)[0].astype(float) if fit.effects else None
+        patched = view.gap([fit.point])[0].astype(float) if fit.effects else None
         before = after = rms(self.nominal)
-        if patched is not None:  # the fitted residual, enlarged by the held-out loss over the fitted loss
-            after = min(rms(patched) * math.sqrt(max(fit.held_out.sum() / max(fit.loss, 1e-12), 1.0)), before)
+        if patched is not None:
+            after = min(math.sqrt(float(self._squares(fit).sum() / np.isfinite(view.measured).sum())), before)
         flexible, features = found.flexible.get(view.stage, (0.0, {}))
         return StageAnswer(
             stage=view.stage,
@@ -256,7 +257,7 @@ class _Stage:
             overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
-            total_shrink=None if patched is None else self._shrink(found.search.problem.block_squares()),
+            total_shrink=None if patched is None else self._shrink(found.choice.null_model),
         )
 
     def _floor(self) -> float:
@@ -266,18 +267,23 @@ class _Stage:
             return estimated
         return max(estimated, rms(self.found.null_residuals[self.view.stage].astype(float)))
 
-    def _shrink(self, less: Array) -> Interval:
-        """Return the share of the held-out RMS that is lost without some effects; less: their blocks' losses [B]."""
-        return share(*shrink.interval(self._by_recording(less), self._by_recording(self.fit.held_out)))
+    def _squares(self, fit: Fit) -> Array:
+        """Return the squares of the gap by recording, [K], or by block if there is only one recording.
 
-    def _by_recording(self, losses: Array) -> Array:
-        """Sum the losses of blocks [B] by recording [K]; with only one recording, return them by block."""
-        if len(set(self.origins)) < 2:
-            return np.maximum(losses, 0.0)
-        found = np.zeros(max(self.origins) + 1)
-        for (window, _), loss in zip(self.found.search.problem.blocks, losses, strict=True):
-            found[self.origins[window]] += max(float(loss), 0.0)
+        Each block is simulated with the effects that were fitted without its fold, and without calibration.
+        """
+        problem, origins = self.found.verdict_problem, self.origins
+        nominal = np.zeros((len(np.unique(problem.fold)), len(problem.nuisance_low)))
+        squares = held_out_squares(self.found.setup, self.found.plain, fit, nominal)[self.view.stage]
+        if len(set(origins)) < 2:
+            return squares
+        found = np.zeros(max(origins) + 1)
+        np.add.at(found, [origins[window] for window, _ in problem.blocks], squares)
         return found
+
+    def _shrink(self, less: Fit) -> Interval:
+        """Return the share of the held-out RMS that is lost with fewer effects."""
+        return share(*shrink.interval(self._squares(less), self._squares(self.fit)))
 
     def _named(self, effect: SelectedEffect) -> NamedEffect:
         return NamedEffect(
@@ -286,7 +292,7 @@ class _Stage:
             # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
             confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
             equivalents=self._same(effect)[1:],
-            shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name].held_out)),
+            shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name])),
         )
 
     def _same(self, effect: SelectedEffect) -> tuple[str, ...]:

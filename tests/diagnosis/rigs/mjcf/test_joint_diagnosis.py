@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -36,16 +35,6 @@ def faulty(tmp_path_factory):
     return written(tmp_path_factory.mktemp("faulty"), "camera", {"tilt": law})
 
 
-@pytest.fixture(scope="module")
-def stuck(tmp_path_factory):
-    """A camera whose pan axis has 50 mN m more of dry friction; the tilt axis counts as moved from outside."""
-    law = replace(JointLaw(), more_dry=0.05)
-    stage = written(tmp_path_factory.mktemp("stuck"), "camera", {"pan": law})
-    tilt = "      tilt: {source: q_tilt, unit: rad}\n"
-    stage.write_text(stage.read_text().replace(tilt, "").replace("      track:", f"{tilt}      track:"))
-    return stage
-
-
 def test_each_measured_joint_is_a_stage_of_its_own(faulty):
     assert {trial.stage.name for trial in tables.read(faulty)} == {"pan", "tilt"}
 
@@ -66,18 +55,6 @@ def test_a_dead_band_is_named_at_its_joint_with_its_size(faulty):
     assert verdict.where.stage == "tilt"
     assert verdict.effects[0].parameters["width"].value == pytest.approx(0.012, rel=0.15)
     assert verdict.gap.after["tilt"].value < 0.5 * verdict.gap.before["tilt"].value
-
-
-# Over 3 s: the diagnosis of one joint.
-@pytest.mark.slow
-def test_the_command_line_writes_the_patched_model_and_its_diff(stuck, tmp_path):
-    patched = tmp_path / "patched.xml"
-    result = CliRunner().invoke(main, ["diagnose", str(stuck), "--patch", str(patched), "--budget", "4"])
-    assert result.exit_code == 0, result.output
-    assert "pan.coulomb_friction" in result.output
-    assert '+      <joint name="pan"' in result.output or 'name="pan"' in result.output
-    joint = mujoco.MjModel.from_xml_path(str(patched)).joint("pan")
-    assert joint.frictionloss[0] == pytest.approx(0.07, rel=0.2)
 
 
 def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
