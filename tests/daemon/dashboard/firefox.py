@@ -1,6 +1,5 @@
 """Debian's Firefox without a window, driven by WebDriver BiDi, since Playwright drives only its own build."""
 
-import base64
 import contextlib
 import json
 import shutil
@@ -87,10 +86,6 @@ class Firefox:
 
     def _act(self, actions: dict[str, Any]) -> None:
         self.call("input.performActions", context=self._page, actions=[actions])
-
-    def screenshot(self, path: Path) -> None:
-        picture = self.call("browsingContext.captureScreenshot", context=self._page)
-        path.write_bytes(base64.b64decode(picture["data"]))
 
 
 @contextlib.contextmanager
