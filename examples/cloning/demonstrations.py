@@ -12,7 +12,7 @@ import numpy as np
 from softarm.daemon.logbook.ticks import TickFile
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
-from softarm.recordings import finishing
+from softarm.recordings import log_file
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.training.task.reach import TASKS
@@ -33,7 +33,7 @@ def record(policy: str, flights: int, path: Path, seed: int = 1) -> int:
         for (y_m, z_m), start_m in zip(targets.tolist(), starts.tolist(), strict=True):
             reached += lockstep.fly(Goal("reach", y_m, z_m), start_m).reached
         log.flush()
-    finishing.finish(path)
+    log_file.finish(path)
     return reached
 
 

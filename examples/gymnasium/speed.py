@@ -8,7 +8,8 @@ import time
 
 import gymnasium
 import numpy as np
-from scoring import ENVIRONMENT
+
+ENVIRONMENT = "softarm.training.gym_envs:SoftArmReach-v0"
 
 
 def steps_per_s(mode: str, robots: int, seconds: float) -> float:

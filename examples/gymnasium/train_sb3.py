@@ -5,22 +5,50 @@ python train_sb3.py --steps 400000 --out mine.onnx
 softarm evaluate mine.onnx reach
 """
 
+import argparse
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
-from scoring import ENVIRONMENT, Array, Score, main, score
+from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from softarm.training.record import foreign
 
+ENVIRONMENT = "softarm.training.gym_envs:SoftArmReach-v0"
+Array = NDArray[np.float32]
 ROBOTS, HORIZON = 256, 16
 # Limit of normalised observations.
 CUT = 5.0
+
+
+class Score(NamedTuple):
+    """Score over a number of episodes; `reached` is a share."""
+
+    mean_return: float
+    reached: float
+
+    def __str__(self) -> str:
+        return f"return {self.mean_return:.2f}, {self.reached:.0%} reached"
+
+
+def score(act: Callable[[Array], Array], episodes: int = 256, seed: int = 54) -> Score:
+    """Fly one episode on each of many robots in parallel; `act` maps observations [R, 10] to actions [R, 2]."""
+    envs = gymnasium.make_vec(ENVIRONMENT, num_envs=episodes)
+    observation, _ = envs.reset(seed=seed)
+    alive, reached = np.ones(episodes, np.bool_), np.zeros(episodes, np.bool_)
+    returns = np.zeros(episodes)
+    while alive.any():
+        observation, reward, terminated, truncated, info = envs.step(np.clip(act(observation), -1.0, 1.0))
+        returns += alive * reward
+        reached |= alive & info["success"]
+        alive &= ~(terminated | truncated)
+    return Score(float(returns.mean()), float(reached.mean()))
 
 
 class ManyArms(VecEnv):
@@ -98,5 +126,17 @@ def export(model: PPO, envs: VecNormalize, out: Path, seed: int = 1) -> float:
     return foreign.export(actor, out, mean=mean, scale=scale, cut=CUT, seed=seed, training=training)
 
 
+def main() -> None:
+    """Train as the command line says, and export the policy."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=400_000, help="of single robots")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("mine.onnx"), help="the policy's file")
+    asked = parser.parse_args()
+    model, envs, before, after = train(asked.steps, asked.seed, show=True)
+    share = export(model, envs, asked.out, asked.seed)
+    print(f"untrained: {before}; trained: {after}\nwrote {asked.out}, {share:.0%} of the validation set")
+
+
 if __name__ == "__main__":
-    main(train, export)
+    main()
