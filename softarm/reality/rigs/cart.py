@@ -18,33 +18,24 @@ SPRING_ZETA = 0.05
 
 DEFAULTS: Mapping[str, float] = {
     "mass_kg": 1.0,
-    # Relative error of the motor's force constant.
-    "gain": 0.0,
+    "gain": 0.0,  # relative error of the motor's force constant
     "delay_s": 0.0,
-    # Lag of the current loop.
-    "lag_s": 0.0,
+    "lag_s": 0.0,  # lag of the current loop
     "friction_up_n": 0.0,
     "friction_down_n": 0.0,
     "viscous_n_s_m": 0.0,
     "drag_n_s2_m2": 0.0,
     "slope_rad": 0.0,
-    # Constant force.
-    "force_n": 0.0,
-    # Natural frequency of the load on its spring; 0: rigid.
-    "spring_rad_s": 0.0,
-    # Play between cart and encoder.
-    "gap_m": 0.0,
+    "force_n": 0.0,  # constant force
+    "spring_rad_s": 0.0,  # natural frequency of the load on its spring; 0: rigid
+    "gap_m": 0.0,  # play between cart and encoder
     "ripple_n": 0.0,
     "ripple_pitch_m": 0.03,
-    # Amplitude of a force at 1 Hz.
-    "hum_n": 0.0,
-    # Stiffness of a spring that acts beyond `bumper_m`.
-    "bumper_n_m": 0.0,
+    "hum_n": 0.0,  # amplitude of a force at 1 Hz
+    "bumper_n_m": 0.0,  # stiffness of a spring that acts beyond `bumper_m`
     "bumper_m": 0.0,
-    # Share of the motor's force that is lost after a long time.
-    "drift": 0.0,
-    # Share of the friction that is present at first; 0: all.
-    "wear": 0.0,
+    "drift": 0.0,  # share of the motor's force that is lost after a long time
+    "wear": 0.0,  # share of the friction that is present at first; 0: all
 }
 
 

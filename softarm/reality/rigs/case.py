@@ -35,13 +35,11 @@ class Tie:
     """Causes that some recordings cannot distinguish: one of `faults` is present, the right answer names all."""
 
     faults: tuple[str, ...]
-    # Names that the answer must contain, and names that it may contain.
-    must: frozenset[str]
-    may: frozenset[str]
+    must: frozenset[str]  # names that the answer must contain
+    may: frozenset[str]  # names that it may contain
     # The only excitations of the case. Empty: the usual ones, because no excitation distinguishes the causes.
     excitations: tuple[str, ...] = ()
-    # Empty: all rigs of the kind that can have the faults.
-    rigs: tuple[str, ...] = ()
+    rigs: tuple[str, ...] = ()  # empty: all rigs of the kind that can have the faults
 
 
 _TIES: Final[Mapping[Kind, tuple[Tie, ...]]] = {
@@ -94,8 +92,7 @@ class RigCase:
     category: Category
     causes: tuple[Cause, ...]
     strength: float
-    # The excitation of each trial.
-    excitations: tuple[str, ...]
+    excitations: tuple[str, ...]  # the excitation of each trial
     seed: int
 
     @property

@@ -16,48 +16,33 @@ INNER_SHARE = 1 / 40
 ATMOSPHERE_KPA = 101.3
 
 DEFAULTS: Mapping[str, float] = {
-    # Time constant of the outer loop.
-    "lag_s": 0.1,
-    # Time constant of venting a chamber; 0: `lag_s`.
-    "lag_down_s": 0.0,
-    # Relative error of the command.
-    "gain": 0.0,
+    "lag_s": 0.1,  # time constant of the outer loop
+    "lag_down_s": 0.0,  # time constant of venting a chamber; 0: `lag_s`
+    "gain": 0.0,  # relative error of the command
     "offset": 0.0,
-    # Upper limit of the command or the supply.
-    "ceiling": INF,
-    # Dead zone of the loop's error.
-    "dead_zone": 0.0,
-    # Limit of the speed.
-    "rate": INF,
+    "ceiling": INF,  # upper limit of the command or the supply
+    "dead_zone": 0.0,  # dead zone of the loop's error
+    "rate": INF,  # limit of the speed
     "acceleration": INF,
     # Friction and forces are per mass.
     "friction_up": 0.0,
     "friction_down": 0.0,
     "stiction": 1.0,
     "stribeck": 1.0,
-    # Constant force.
-    "load": 0.0,
+    "load": 0.0,  # constant force
     "gap": 0.0,
     "loop_width": 0.0,
-    # Natural frequency of a spring between drive and sensor; 0: no spring.
-    "mode_rad_s": 0.0,
+    "mode_rad_s": 0.0,  # natural frequency of a spring between drive and sensor; 0: no spring
     "mode_zeta": 0.15,
-    # Force that repeats with the position.
-    "ripple": 0.0,
+    "ripple": 0.0,  # force that repeats with the position
     "ripple_pitch": 1.0,
-    # Amplitude of a 1 Hz error of the measurement.
-    "hum": 0.0,
-    # Share by which the gain has grown after a long time.
-    "drift": 0.0,
-    # Share of play or friction that is present at first; 0: all.
-    "wear": 0.0,
-    # Position that is lost when the acceleration exceeds `slip_above`.
-    "slip": 0.0,
+    "hum": 0.0,  # amplitude of a 1 Hz error of the measurement
+    "drift": 0.0,  # share by which the gain has grown after a long time
+    "wear": 0.0,  # share of play or friction that is present at first; 0: all
+    "slip": 0.0,  # position that is lost when the acceleration exceeds `slip_above`
     "slip_above": INF,
-    # Fill rate of a chamber through a wide open valve, in upstream pressures.
-    "orifice_1_s": INF,
-    # Gauge pressure of the supply.
-    "supply_kpa": 400.0,
+    "orifice_1_s": INF,  # fill rate of a chamber through a wide open valve, in upstream pressures
+    "supply_kpa": 400.0,  # gauge pressure of the supply
 }
 
 

@@ -20,34 +20,23 @@ JOINT_PARAMETERS: Mapping[str, float] = {
     "length_m": 1.0,
     "viscous_nm_s": 0.0,
     "friction_nm": 0.0,
-    # Constant error of the encoder.
-    "bias_rad": 0.0,
+    "bias_rad": 0.0,  # constant error of the encoder
 }
 LANE_PARAMETERS: Mapping[str, float] = {
     "payload_kg": 0.0,
-    # Distance from the last joint.
-    "payload_m": 1.0,
+    "payload_m": 1.0,  # distance from the last joint
     "tilt_rad": 0.0,
-    # Relative error of the moment of the weight.
-    "moment": 0.0,
-    # Drag of each link at its centre.
-    "drag_n_s2_m2": 0.0,
-    # Relative error of the torques.
-    "strength": 0.0,
-    # Delay of the torques.
-    "delay_s": 0.0,
-    # Constant torque on the first joint.
-    "offset_nm": 0.0,
-    # Torque that repeats with the angle of the first joint.
-    "ripple_nm": 0.0,
+    "moment": 0.0,  # relative error of the moment of the weight
+    "drag_n_s2_m2": 0.0,  # drag of each link at its centre
+    "strength": 0.0,  # relative error of the torques
+    "delay_s": 0.0,  # delay of the torques
+    "offset_nm": 0.0,  # constant torque on the first joint
+    "ripple_nm": 0.0,  # torque that repeats with the angle of the first joint
     "ripple_per_turn": 12.0,
-    # Stiffness of a cable that pulls beyond `kink_rad`.
-    "kink_nm_rad": 0.0,
+    "kink_nm_rad": 0.0,  # stiffness of a cable that pulls beyond `kink_rad`
     "kink_rad": 0.0,
-    # Amplitude of a torque at 1 Hz.
-    "hum_nm": 0.0,
-    # Share of the friction that is present at first; 0: all.
-    "wear": 0.0,
+    "hum_nm": 0.0,  # amplitude of a torque at 1 Hz
+    "wear": 0.0,  # share of the friction that is present at first; 0: all
 }
 Lane = Mapping[str, float | tuple[float, ...]]
 # Step, angles [K, n], rates [K, n] -> torques, N m [K, n].

@@ -27,29 +27,20 @@ Parameters = Mapping[str, float | tuple[float, ...]]
 class Rig:
     """Nominal description of a machine, as its owner knows it."""
 
-    # Name of the stage.
-    name: str
+    name: str  # name of the stage
     plant: Plant
-    # Time scale: a lag, or the duration of a motion.
-    pace_s: float
-    # Sample rate of a recording.
-    rate_hz: float
-    # Half of the range of the command, in the base unit (kPa, m, m/s or rad).
-    reach: float
+    pace_s: float  # time scale: a lag, or the duration of a motion
+    rate_hz: float  # sample rate of a recording
+    reach: float  # half of the range of the command, in the base unit (kPa, m, m/s or rad)
     centre: float = 0.0
     measured_unit: str = "rad"
-    # Base units per measured unit.
-    measured_worth: float = 1.0
+    measured_worth: float = 1.0  # base units per measured unit
     command_unit: str = "rad"
-    # Base units that are reached per unit of the command.
-    command_worth: float = 1.0
-    # Resolution of the sensor, in the base unit.
-    quantum: float = 0.0
+    command_worth: float = 1.0  # base units that are reached per unit of the command
+    quantum: float = 0.0  # resolution of the sensor, in the base unit
     duration_s: tuple[float, float] = (8.0, 12.0)
-    # Whether command and measurement are columns of one file.
-    one_file: bool = False
-    # Parameters of the plant, without the lag.
-    parameters: Parameters = field(default_factory=dict)
+    one_file: bool = False  # whether command and measurement are columns of one file
+    parameters: Parameters = field(default_factory=dict)  # parameters of the plant, without the lag
 
     @property
     def kind(self) -> Kind:

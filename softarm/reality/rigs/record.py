@@ -41,13 +41,10 @@ class Run:
 
     kind: str
     sent_s: Array
-    # Inputs by column.
-    sent: dict[str, Array]
+    sent: dict[str, Array]  # inputs by column
     stamps_s: Array
-    # [variants, samples, columns]; variants: as recorded, nominal, without faults, without each fault.
-    clean: Array
-    # [samples, columns]
-    measured: Array
+    clean: Array  # [variants, samples, columns]; variants: as recorded, nominal, without faults, without each fault
+    measured: Array  # [samples, columns]
 
 
 def write(case: RigCase, data: Path, truths: Path) -> dict[str, Any]:
