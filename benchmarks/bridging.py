@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from benchmarks import results
 from benchmarks.tables import TABLES
 from softarm.common import batch
-from softarm.common.batch import Workers
-from softarm.common.batch_options import workers_options
+from softarm.common.batch import Workers, workers_options
 from softarm.daemon.control.alignment import ReadingHistory
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.plausibility import CART, TIP

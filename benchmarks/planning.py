@@ -22,7 +22,7 @@ from softarm.schemas.model import Arm, Model
 from softarm.schemas.robot import CONTROL_RATE_HZ, PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import planner, problem
-from softarm.training.trajectory.rollout import Rollouts
+from softarm.training.trajectory.problem import Rollouts
 
 Array = NDArray[np.floating]
 

@@ -7,7 +7,7 @@ from softarm.evaluation import faults as worst
 from softarm.evaluation.entries import CEILING
 from softarm.evaluation.table import HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
-from softarm.training.trajectory import needs as needed
+from softarm.training.trajectory import ceiling as needed
 
 _SPREAD = "{p50:.0f} / {p99:.0f} / {max:.0f}"
 Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds

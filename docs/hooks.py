@@ -17,7 +17,7 @@ from softarm.daemon.control import failsafe
 from softarm.daemon.control.inbox import Inbox
 from softarm.diagnosis.blind import pages
 from softarm.evaluation import leaderboard
-from softarm.reality import parameters, quantities
+from softarm.reality import parameters
 from softarm.schemas import stage_model
 from softarm.schemas.config import Config
 from softarm.simulator import effects_page
@@ -134,7 +134,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "exit-codes": exit_codes,
     "failsafe-events": failsafe.markdown,
     "leaderboard": lambda: leaderboard.markdown(leaderboard.load(ROOT / "benchmarks/leaderboard.json")),
-    "reality-parameters": lambda: quantities.table(*parameters.GROUPS),
+    "reality-parameters": lambda: parameters.table(*parameters.GROUPS),
     "rest-schemas": rest_schemas,
     "stage-keys": stage_model.table,
 }

@@ -20,14 +20,13 @@ import numpy as np
 
 from benchmarks import results
 from softarm.common import batch
-from softarm.common.batch import Workers
-from softarm.common.batch_options import workers_options
+from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.evaluation.evaluation import FLIGHTS
+from softarm.evaluation.runner import FLIGHTS
 from softarm.policies import registry
 from softarm.policies.base import Array, PolicySpec
 from softarm.schemas import flights

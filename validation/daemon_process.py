@@ -10,7 +10,7 @@ from unittest import mock
 
 from softarm.common.revision import CHECKOUT
 from softarm.drivers.rail import process as rail_process
-from softarm.evaluation.soak import usage
+from softarm.evaluation.soak import growth
 from softarm.evaluation.software_in_the_loop import POLL_S, SoftwareInTheLoop, SoftwareInTheLoopError
 from validation.matrix.faulty_policies import PLUGINS
 
@@ -57,11 +57,11 @@ class DisturbedDaemon(SoftwareInTheLoop):
 
         Raises SoftwareInTheLoopError if there is none.
         """
-        children = usage.children(self.process.pid)
-        of_rail = [child for child in children if rail_process.__name__ in usage.command(child)]
+        children = growth.children(self.process.pid)
+        of_rail = [child for child in children if rail_process.__name__ in growth.command(child)]
         if not of_rail:
             raise SoftwareInTheLoopError("the daemon has no process for the rail")
-        return max(of_rail, key=lambda child: usage.of([child]).descriptors)
+        return max(of_rail, key=lambda child: growth.of([child]).descriptors)
 
     def recover(self, patience_s: float) -> bool:
         """Acknowledge a latched stop and wait until arming would be accepted; return whether there was a latch.

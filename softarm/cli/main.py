@@ -2,7 +2,7 @@
 
 import click
 
-from softarm.cli.lazy_group import LazyGroup, Verb
+from softarm.cli.groups import LazyGroup, Verb
 from softarm.cli.shared.errors import EXITS
 
 VERBS: dict[str, dict[str, Verb]] = {
@@ -10,8 +10,8 @@ VERBS: dict[str, dict[str, Verb]] = {
         "demo": Verb("operate.demo:demo", "Twin, daemon and ten targets over REST, in one go.", "sim"),
         "run": Verb("operate.run:run", "Run the control daemon, on the robot or simulated.", "sim"),
         "twin": Verb("operate.twin:twin", "Simulate the robot behind its real interfaces.", "sim"),
-        "rail": Verb("rail.commands:rail", "Home the axis, and find the middle of the rail."),
-        "bridge": Verb("cameras.commands:bridge", "Pass on motion capture to the daemon; calibrate it."),
+        "rail": Verb("rail:rail", "Home the axis, and find the middle of the rail."),
+        "bridge": Verb("bridge:bridge", "Pass on motion capture to the daemon; calibrate it."),
         "config": Verb("setup.config:config", "Write a new configuration; look up its keys."),
         "doctor": Verb("setup.doctor:doctor", "Check this computer before a flight."),
         "service": Verb("setup.service:service", "Install the daemon as a service."),
@@ -47,19 +47,12 @@ VERBS: dict[str, dict[str, Verb]] = {
         "dev": Verb("dev:dev", "Tools of softarm's makers; `softarm dev` lists them.", "diagnosis,train,mujoco"),
     },
 }
-# Earlier spelling -> present one.
-MOVED = {name: f"logs {name}" for name in ("view", "replay")} | {
-    name: f"dev {name}" for name in ("blind", "export", "plan", "soak")
-}
-
-
 EPILOGUE = "\b\nExit codes:\n" + "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXITS.items())
 
 
 @click.group(
     cls=LazyGroup,
     sections=VERBS,
-    moved=MOVED,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=EPILOGUE,
 )

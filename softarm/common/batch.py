@@ -8,9 +8,11 @@ import json
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
+
+import click
 
 from softarm.common import files
 from softarm.common.processes import as_they_come, bar, cores
@@ -172,3 +174,22 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values as a file gives them back, so that kept and new results are equal."""
     plain: dict[str, Any] = json.loads(json.dumps(values))
     return plain
+
+
+def workers_options(about: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the options --workers and --ray of a verb that runs many jobs; it receives `workers`, a `Workers`."""
+    count = click.option(
+        "--workers", "count", type=click.IntRange(min=1), help=f"{about}parallel jobs here.  [default: one per core]"
+    )
+    address = click.option("--ray", help=f"{about}run on the Ray cluster at this address; 'local' starts one here.")
+
+    def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
+        @count
+        @address
+        @wraps(verb)
+        def with_workers(*args: Any, count: int | None, ray: str | None, **options: Any) -> Any:
+            return verb(*args, workers=Workers(count or cores(), ray), **options)
+
+        return with_workers
+
+    return decorate

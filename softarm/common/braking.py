@@ -10,7 +10,8 @@ behaves better gets farther, since of two carts at one position the faster one s
 speed.
 
 Only arithmetic on numbers, +y towards the upper end of the rail. A number is a float, an array [R], or the symbol of a
-traced computation (training/task/traced.py); the same code serves all, so policies train with the law they fly with.
+traced computation (training/task/tensor_guard.py); the same code serves all, so policies train with the law of their
+flights.
 """
 
 import math

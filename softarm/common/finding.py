@@ -21,12 +21,9 @@ class Finding(NamedTuple):
 
     name: str
     state: State
-    # The result with value and unit, and the allowed values.
-    figure: str
-    # The next step.
-    advice: str = ""
-    # Key of the configuration that causes the finding.
-    place: Place = ()
+    figure: str  # the result with value and unit, and the allowed values
+    advice: str = ""  # the next step
+    place: Place = ()  # key of the configuration that causes the finding
 
 
 def ok(name: str, figure: str, advice: str = "") -> Finding:

@@ -73,13 +73,10 @@ class Quantity:
     unit: str = PURE
     low: float = -math.inf
     high: float = math.inf
-    # The lower bound itself is not allowed.
-    above: bool = False
-    # The upper bound itself is not allowed.
-    below: bool = False
+    above: bool = False  # the lower bound itself is not allowed
+    below: bool = False  # the upper bound itself is not allowed
     also: float | None = None
-    # Only whole numbers are allowed.
-    whole: bool = False
+    whole: bool = False  # only whole numbers are allowed
     default: float | None = None
     meaning: str = ""
     source: str = ""

@@ -118,8 +118,7 @@ def parse(text: str, path: Path) -> Document:
 
 def refuse(document: Document, mistakes: Iterable[Mistake], rest: object = None) -> FileError:
     """Return the error with the first ERRORS_MAX mistakes, in the file's order, and the number of the others."""
-    # One error per place.
-    first: dict[tuple[int, Place], Callable[[], str]] = {}
+    first: dict[tuple[int, Place], Callable[[], str]] = {}  # one error per place
     found = sorted(mistakes, key=lambda each: each.line)
     for place, line, say in found:
         first.setdefault((line, place), say)

@@ -3,10 +3,12 @@
 The validation of training instead flies many robots at once: `training/learn/validation.py`.
 """
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypedDict
 
 from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.runtime.offline import Lockstep
@@ -14,6 +16,7 @@ from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas import flights
 from softarm.schemas.config import Config
 from softarm.schemas.config import Policy as ConfiguredPolicy
 from softarm.schemas.flights import Flight, Scenario, Swing
@@ -174,3 +177,79 @@ def _target_depth(policy: Policy, scenario: Scenario) -> Iterator[None]:
         yield
     finally:
         policy.target_depth_m = own  # type: ignore[attr-defined]
+
+
+FLIGHTS = len(flights.grid())
+
+
+class Target(TypedDict):
+    """One flight to one target."""
+
+    y: float
+    z: float
+    start: float
+    reached: bool
+    time_s: float
+    closest_m: float
+
+
+class Evaluation(TypedDict):
+    """The result of one policy, as `softarm evaluate --json` writes it."""
+
+    policy: str
+    success: dict[str, float]  # share of flights that reached their target: in_range, above, all
+    max_tip_z_m: float
+    max_cart_m: float
+    real_time_factor: float
+    targets: list[Target]
+
+
+def evaluate(
+    name: str,
+    config: Config,
+    model: Model | None = None,
+    on_flight: Callable[[], None] = lambda: None,
+    file: Path | None = None,
+) -> Evaluation:
+    """Fly every target from rest at every cart start.
+
+    Args:
+        name: Name of the policy.
+        config: Configuration of the control loop.
+        model: Model of the simulated robot; None for the seed's.
+        on_flight: Called after each flight.
+        file: ONNX file of the policy; None for the policy that the registry has under this name.
+
+    Raises:
+        PolicyError: The policy cannot be loaded.
+        RuntimeError: The control loop refuses to arm.
+    """
+    policy = load(file or name, config)
+    runner, scenarios = Runner(policy, model, config), flights.grid()
+    flown: list[Flight] = []
+    started = time.perf_counter()
+    for scenario in scenarios:
+        flown.append(runner.fly(scenario))
+        on_flight()
+    wall_s = time.perf_counter() - started
+    success = flights.shares([flight.reached for flight in flown], flights.heights(scenarios))
+    return Evaluation(
+        policy=name,
+        success=success._asdict(),
+        max_tip_z_m=max(flight.max_tip_z_m for flight in flown),
+        max_cart_m=max(flight.max_cart_m for flight in flown),
+        real_time_factor=sum(flight.ticks for flight in flown) / config.control.rate_hz / wall_s,
+        targets=[_target(scenario, flight) for scenario, flight in zip(scenarios, flown, strict=True)],
+    )
+
+
+def _target(scenario: Scenario, flight: Flight) -> Target:
+    closest = flight.status.closest_m
+    return Target(
+        y=scenario.goal.y_m,
+        z=scenario.goal.z_m,
+        start=scenario.cart_start_m,
+        reached=flight.reached,
+        time_s=flight.status.time_s,
+        closest_m=float("inf") if closest is None else closest,
+    )

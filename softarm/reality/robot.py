@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.reality.devices import PressureRegulator, Servo
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.plant import RATE_HZ, Plant
-from softarm.reality.rail import Servo
-from softarm.reality.regulator import PressureRegulator
 from softarm.reality.sensors import Cameras, Encoder, Gauge
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
@@ -25,12 +24,9 @@ class Truth:
     t_s: float
     cart_position_m: float
     cart_velocity_m_s: float
-    # In the muscle.
-    pressure_kpa: float
-    # y, z of the far ends of the model's links [5, 2]; the last one is the tip.
-    link_ends_m: NDArray[np.float64]
-    # Absolute angles of their chords [5].
-    link_angles_rad: NDArray[np.float64]
+    pressure_kpa: float  # in the muscle
+    link_ends_m: NDArray[np.float64]  # y, z of the far ends of the model's links [5, 2]; the last one is the tip
+    link_angles_rad: NDArray[np.float64]  # absolute angles of their chords [5]
 
 
 class Robot:

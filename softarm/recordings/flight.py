@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from softarm.recordings import channels, mcap_file
+from softarm.recordings import live, mcap_file
 from softarm.schemas import log
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
@@ -93,13 +93,13 @@ def record(topic: str, data: bytes) -> Record | None:
         case log.TICK:
             return Tick.model_validate_json(data)
         case log.MOCAP:
-            return channels.MOCAP.decode(data)
+            return live.MOCAP.decode(data)
         case log.PRESSURE:
-            return channels.PRESSURE.decode(data)
+            return live.PRESSURE.decode(data)
         case log.RAIL:
-            return channels.RAIL.decode(data)
+            return live.RAIL.decode(data)
         case log.EVENT:
-            return channels.EVENT.decode(data)
+            return live.EVENT.decode(data)
     return None
 
 

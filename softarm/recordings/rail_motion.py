@@ -9,7 +9,7 @@ from mcap.records import Channel, Message, Metadata
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from softarm.recordings import channels, mcap_file
+from softarm.recordings import live, mcap_file
 from softarm.schemas import log
 from softarm.schemas.config import Config
 from softarm.schemas.messages import Command
@@ -61,7 +61,7 @@ def read(path: Path) -> RailMotion:
             elif isinstance(record, Message) and topics[record.channel_id] == log.TICK:
                 ticks.append(_Tick.model_validate_json(record.data).outputs)
             elif isinstance(record, Message) and topics[record.channel_id] == log.RAIL:
-                reading = channels.RAIL.decode(record.data)
+                reading = live.RAIL.decode(record.data)
                 if math.isfinite(reading.position_m) and math.isfinite(reading.velocity_m_s):
                     seen[reading.t_receive_ns] = reading.position_m, reading.velocity_m_s
     except ValidationError as error:

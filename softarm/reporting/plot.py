@@ -22,16 +22,12 @@ _UNIFORM_S = 1e-6
 class Traces(NamedTuple):
     """Curves of one signal over time; the lower strip shows the first curve minus each other one."""
 
-    # One entry of each choice; the last one names the signal.
-    chosen: tuple[str, ...]
-    # Additional text.
-    note: str
+    chosen: tuple[str, ...]  # one entry of each choice; the last one names the signal
+    note: str  # additional text
     unit: str
     t_s: Array
-    # Values by name, NaN if missing; the name also selects the colour.
-    curves: Mapping[str, Array]
-    # Smaller differences are within the measurement noise.
-    band: float = 0.0
+    curves: Mapping[str, Array]  # values by name, NaN if missing; the name also selects the colour
+    band: float = 0.0  # smaller differences are within the measurement noise
 
 
 def every(items: Sequence[Traces]) -> int:

@@ -1,11 +1,15 @@
-"""Model files: a robot's parameters and a simulator's effects as YAML, to and from `softarm.schemas.model.Model`."""
+"""Model files: a robot's parameters and a simulator's effects as YAML, and as rows of `softarm model show` and `diff`.
+
+Default values are in `softarm.schemas.model`.
+Sources: [P] the CoRL 2023 paper (sections; SM: its supplement), [C] its authors' released configuration.
+"""
 
 import hashlib
 import json
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -16,7 +20,106 @@ from softarm.common.yaml_lines import FileError, Place
 from softarm.common.yaml_schema import fit
 from softarm.schemas.model import Model
 from softarm.simulator import effects
-from softarm.simulator.robot_table import ROBOT
+
+
+def _row(name: str, unit: str, low: float, high: float, source: str) -> Quantity:
+    return Quantity(name=name, unit=unit, low=low, high=high, source=source)
+
+
+_ROWS = (
+    _row("arm.link_length_m", "m", 0.005, 1.0, "[C]; [P] SM-E: 0.44 m in all"),
+    _row("arm.link_mass_kg", "kg", 1e-4, 2.0, "[C], and the total of [P] SM-E: 0.12 kg"),
+    _row("arm.link_inertia_kg_m2", "kg m^2", 1e-9, 0.1, "[C]: thin shells and a solid tip"),
+    _row("arm.stiffness_nm_rad", "N m/rad", 0.0, 50.0, "[P] SM-B, [C]"),
+    _row("arm.damping_nm_s_rad", "N m s/rad", 0.0, 5.0, "[P] SM-B, [C]"),
+    _row("arm.muscle_gain_nm_kpa", "N m/kPa", -0.02, 0.02, "[P] SM-B and [C], there in N m/psi"),
+    _row("arm.torque_offset_nm", "N m", -0.5, 0.5, "[C] only; [P] leaves it out"),
+    _row("arm.base_height_m", "m", 0.0, 10.0, "[C]"),
+    _row("arm.gravity_m_s2", "m/s^2", 0.0, 30.0, "standard gravity"),
+    _row("cart.mass_kg", "kg", 0.01, 50.0, "[C]"),
+    _row("cart.feedforward_mass_kg", "kg", 0.0, 50.0, "[C]; [P] section 3.3: the mass of the robot"),
+    _row("cart.acceleration_gain_kg", "kg", 0.0, 50.0, "[P] SM-E, [C]"),
+    _row("cart.velocity_gain_n_s_m", "N s/m", 0.0, 10000.0, "[P] SM-E, [C]"),
+    _row("cart.tracking_switch_m_s", "m/s", 0.0, 10.0, "[P] section 3.3"),
+    _row("cart.travel_m", "m", 0.01, 100.0, "[P] SM-E: 0.6 m in all"),
+)
+# Name -> parameter of arm or cart; for a list, the bounds of each entry.
+ROBOT = {quantity.name: quantity for quantity in _ROWS}
+
+
+ABSENT = "absent"
+
+
+class Row(NamedTuple):
+    """One parameter with its value in force."""
+
+    key: str  # `cart.mass_kg`, `rail.delay.delay`
+    numbers: tuple[float, ...]  # one a link for a list; empty for an effect without parameters
+    unit: str  # `-`: a pure number
+    allowed: str
+    source: str
+
+    @property
+    def value(self) -> str:
+        """Return the numbers with six digits, or `on`."""
+        return ", ".join(f"{number:.6g}" for number in self.numbers) or "on"
+
+
+def robot_rows(model: Model) -> Iterator[Row]:
+    """Yield every parameter of arm and cart, with the source of the seed's value."""
+    for key, quantity in ROBOT.items():
+        group, _, name = key.partition(".")
+        value = getattr(getattr(model, group), name)
+        numbers = value if isinstance(value, tuple) else (value,)
+        yield Row(key, numbers, quantity.unit, str(quantity), quantity.source)
+
+
+def effect_rows(model: Model) -> Iterator[Row]:
+    """Yield every parameter of the model's effects, defaults included."""
+    for name, effect in effects.REGISTRY.items():
+        if name not in model.effects:
+            continue
+        if not effect.parameters:
+            yield Row(name, (), "", "", effect.source)
+        for p in effect.parameters:
+            value = effects.value(model, name, p.name)
+            yield Row(f"{name}.{p.name}", (value,), p.unit, str(p), effect.source)
+
+
+def idle_effects(model: Model) -> list[str]:
+    """Return the effects at their neutral value, which change nothing."""
+    idle = []
+    for name in model.effects:
+        parameters = [p for p in effects.REGISTRY[name].parameters if p.default is None]
+        if parameters and all(effects.value(model, name, p.name) == p.neutral for p in parameters):
+            idle.append(name)
+    return idle
+
+
+class Difference(NamedTuple):
+    """One parameter that differs between two models; `absent` if one lacks the effect."""
+
+    key: str
+    unit: str
+    one: str
+    other: str
+
+
+def differences(one: Model, other: Model) -> list[Difference]:
+    """Return the differences between two models, in the order of robot and registry."""
+    # The last model has every row, in the order of robot and registry.
+    models = (one, other, Model(effects=effects.exemplars()))
+    *tables, every = ({row.key: row for row in (*robot_rows(model), *effect_rows(model))} for model in models)
+    found = []
+    for key in every:
+        rows = [table.get(key) for table in tables]
+        if len({row and row.numbers for row in rows}) == 2:
+            texts = [row.value if row else ABSENT for row in rows]
+            if texts[0] == texts[1]:  # the same to six digits
+                texts = [", ".join(map(repr, row.numbers)) for row in rows if row]
+            found.append(Difference(key, every[key].unit, *texts))
+    return found
+
 
 # The shipped models: the seed's simulator, and its four ablations.
 MODELS = Path(__file__).parent / "models"

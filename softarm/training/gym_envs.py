@@ -28,9 +28,8 @@ from softarm.schemas.robot import CONTROL_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
 from softarm.training.gym_picture import Picture, Pixels, View, Window, no_window
 from softarm.training.run.recipe import preset
-from softarm.training.task.environment import Step
-from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
+from softarm.training.task.environment import ShelfEnvironment, Step, environment_of
+from softarm.training.task.reach import ReachTask, ShelfTask
 
 Array = NDArray[np.float32]
 Task = ReachTask | str | None  # a task or its name, also of an installed plug-in; None: the seed's

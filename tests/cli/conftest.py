@@ -130,5 +130,5 @@ def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def _no_announcements(monkeypatch: pytest.MonkeyPatch) -> None:
     """Suppress announcements of long waits, which depend on the load."""
-    monkeypatch.setattr("softarm.cli.shared.printing.PATIENCE_S", 600.0)
+    monkeypatch.setattr("softarm.cli.shared.console.PATIENCE_S", 600.0)
     monkeypatch.setattr("softarm.common.processes.FIRST_LINE_S", 600.0)

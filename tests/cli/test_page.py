@@ -10,11 +10,10 @@ import click
 import pytest
 
 from softarm.cli.gap import close_gap
-from softarm.cli.lazy_group import DEFECT
+from softarm.cli.groups import DEFECT
 from softarm.cli.main import VERBS, main
 from softarm.cli.page import commands_of, markdown
-from softarm.cli.shared.errors import EXITS
-from softarm.cli.shared.interrupt import INTERRUPTED
+from softarm.cli.shared.errors import EXITS, INTERRUPTED
 from tests.cli.invoke import invoke
 
 ROOT = Path(__file__).parents[2]

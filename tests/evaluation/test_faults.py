@@ -1,4 +1,4 @@
-"""The worst case of policies over strong faults of the independent robot."""
+"""Faults of robots, and the worst case of policies."""
 
 from pathlib import Path
 
@@ -13,6 +13,14 @@ from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import Config
 from softarm.schemas.flights import CART_STARTS_M, Flight
 from softarm.schemas.goals import GoalStatus
+
+
+def test_faults_are_set_one_by_one():
+    robot = with_faults(RobotParameters(), ["regulator.dead_time_s=0.06", "mocap.loose_link=2"])
+    assert robot.regulator.dead_time_s == 0.06
+    assert robot.mocap.loose_link == 2
+    assert robot.rail == RobotParameters().rail
+
 
 ENTRIES = [Entry("reach"), Entry("reach-robust")]
 

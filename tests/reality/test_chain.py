@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softarm.reality.chain import refine
 from softarm.reality.parameters import Arm, RobotParameters
+from softarm.reality.plant import refine
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
 from softarm.simulator.simulator import Simulator

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softarm.reality.parameters import GROUPS, RobotParameters
-from softarm.reality.quantities import of
+from softarm.reality.parameters import GROUPS, RobotParameters, of
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from softarm.daemon.logbook import logs
-from softarm.recordings.channels import RAIL
-from softarm.recordings.live import LiveFile, LogMessage
+from softarm.recordings.live import RAIL, LiveFile, LogMessage
 from softarm.schemas.messages import RailReading
 
 READINGS = [RailReading(n * 100_000_000, n / 7, float("nan") if n == 3 else -0.0, True) for n in range(30)]

@@ -1,4 +1,4 @@
-"""A log as tables: one row per tick, all digits, units in the names."""
+"""Logs as tables and as the motion of the rail: what is read, and formats of other versions."""
 
 import csv
 import json
@@ -9,8 +9,10 @@ import pytest
 from pyarrow import parquet
 
 from softarm.daemon.logbook import logs
-from softarm.recordings import tables
+from softarm.recordings import flight, rail_motion, tables
 from softarm.recordings.mcap_file import LogError
+from softarm.schemas.config import Config
+from tests.recordings.conftest import write
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +91,54 @@ def test_the_header_of_the_log_is_exported(log):
 def test_a_log_without_wall_clock_time_is_reported(killed):
     with pytest.raises(LogError, match="does not say what time it was"):
         tables.ticks(logs.read(killed))
+
+
+def test_each_tick_has_the_newest_data(flight_file, log):
+    moments = [moment for moment in flight.moments(flight_file) if moment is not None]
+    for moment, (inputs, outputs, timing) in zip(moments, log, strict=True):
+        assert (moment.frame, moment.pressure, moment.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
+        assert (moment.tick.outputs.tick, moment.tick.outputs.sent) == (outputs.tick, outputs.sent)
+        assert moment.tick.timing.compute_ns == timing.compute_ns
+
+
+def test_every_message_reports_progress(flight_file, log):
+    assert sum(1 for _ in flight.moments(flight_file)) == log.records
+
+
+def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):
+    assert flight.first_stamp_ns(killed) == readings[0].t_receive_ns
+    empty = write(tmp_path / "empty.mcap", ())
+    with pytest.raises(LogError, match=r"empty\.mcap: holds nothing to show; was the daemon stopped before its first"):
+        flight.first_stamp_ns(empty)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [(b'{"position_m": 0}', "t_receive_ns: Field required"), (b"{", "Invalid JSON")],
+    ids=["field", "json"],
+)
+def test_a_message_of_another_kind_is_reported_with_its_place(tmp_path, data, what):
+    odd = write(tmp_path / "odd.mcap", [(1, data)])
+    with pytest.raises(
+        LogError, match=rf"odd\.mcap: a message on /rail: {what}.*; was it edited, or recorded by another"
+    ):
+        list(flight.records(odd))
+
+
+def test_a_log_contains_commands_and_their_effects(flight_file):
+    motion = rail_motion.read(flight_file)
+    assert motion.config == Config.model_validate(motion.config.model_dump())
+    assert len(motion.sent_s) == len(motion.set_point_m_s) == len(motion.obeyed) > 200
+    assert len(motion.t_s) == len(motion.position_m) == len(motion.velocity_m_s) > 200
+    assert np.diff(motion.t_s).min() > 0
+    assert np.median(np.diff(motion.sent_s)) == pytest.approx(1 / 30, abs=1e-6)
+    # The drive was off before it was armed, and after the stop; it stood still there.
+    assert not motion.obeyed[:30].any()
+    assert 0.5 < motion.obeyed.mean() < 0.95
+    assert not motion.set_point_m_s[~motion.obeyed].any()
+    assert np.abs(motion.velocity_m_s).max() > 0.5
+
+
+def test_readings_that_are_no_numbers_are_left_out_and_a_log_without_ticks_is_empty(killed):
+    motion = rail_motion.read(killed)
+    assert (len(motion.t_s), len(motion.sent_s), motion.config) == (29, 0, None)

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from softarm.common.yaml_lines import ERRORS_MAX
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator import effects, model_file
-from softarm.simulator.model_file import ModelFileError
-from softarm.simulator.robot_table import ROBOT
+from softarm.simulator.model_file import ROBOT, ModelFileError
 
 ABLATIONS = {
     "no-pressure-lag": "pressure.lag",

@@ -5,7 +5,8 @@ from base64 import b64decode
 import pytest
 
 from softarm.training.learn.inference import workers
-from softarm.training.record import curve, path_figure
+from softarm.training.record import curve
+from softarm.training.run import report
 
 PIXEL = b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg==")
 
@@ -21,7 +22,7 @@ def pool():
 def plain_pictures(monkeypatch):
     """Write one pixel as every picture of a run: to draw them takes longer than a short training."""
     monkeypatch.setattr(curve, "write_png", lambda rows, path, *_: path.write_bytes(PIXEL))
-    monkeypatch.setattr(path_figure, "write_png", lambda tested, task, path, title: path.write_bytes(PIXEL))
+    monkeypatch.setattr(report, "write_png", lambda tested, task, path, title: path.write_bytes(PIXEL))
 
 
 @pytest.fixture

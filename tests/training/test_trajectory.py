@@ -7,12 +7,10 @@ from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory import ceiling, needs, planner, problem, rows
-from softarm.training.trajectory.guesses import library, nearest, random_knots
+from softarm.training.trajectory import ceiling, planner, problem
 from softarm.training.trajectory.optimiser import OUTER, UNIT, Batch, Optimiser
-from softarm.training.trajectory.planner import plan
-from softarm.training.trajectory.problem import interpolation
-from softarm.training.trajectory.rollout import Rollouts
+from softarm.training.trajectory.planner import library, nearest, plan, random_knots
+from softarm.training.trajectory.problem import Rollouts, interpolation
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
 REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short for any swing
@@ -170,9 +168,9 @@ def test_a_longer_rail_brings_a_missed_target_into_reach(monkeypatch):
     """(0, 0.75) needs about 0.33 m of rail on each side."""
     for name, value in {"ROUNDS": 8, "POPULATION": 48, "ELITES": 6}.items():
         monkeypatch.setattr(ceiling, name, value)
-    monkeypatch.setattr(needs, "LEVELS", 1)
-    monkeypatch.setattr(needs, "QUANTITIES", {name: needs.QUANTITIES[name] for name in ("rail half-length",)})
-    (need,) = needs.of_missed(np.array([[-0.2, 0.6], [0.0, 0.75]], dtype=np.float32), seed=1)
+    monkeypatch.setattr(ceiling, "LEVELS", 1)
+    monkeypatch.setattr(ceiling, "QUANTITIES", {name: ceiling.QUANTITIES[name] for name in ("rail half-length",)})
+    (need,) = ceiling.of_missed(np.array([[-0.2, 0.6], [0.0, 0.75]], dtype=np.float32), seed=1)
     np.testing.assert_allclose(need.target_m, [0.0, 0.75])
     assert need.values == {"rail half-length": pytest.approx(0.41)}
     assert min(need.closest_m, need.closest_without_law_m) > 0.04
@@ -185,28 +183,23 @@ def test_bisection_halves_the_range_of_each_target_and_shares_searches():
         searched.append((value, which))
         return [value >= needed[i] for i in which]
 
-    found = needs.bisected(1.0, 2.0, len(needed), reached)
+    found = ceiling.bisected(1.0, 2.0, len(needed), reached)
     assert found == [pytest.approx(1.3, abs=1 / 32), pytest.approx(1.9, abs=1 / 32), None]
     assert all(value >= needed[i] for i, value in enumerate(found[:2]))
     assert searched[:2] == [(2.0, [0, 1, 2]), (1.5, [0, 1])]
 
 
-def test_rows_of_plans_and_of_searches_have_the_same_fields(report, monkeypatch):
-    found = rows.of_plans(report)
+def test_rows_of_plans_are_summed_up_by_height(report):
+    found = planner.rows(report)
     assert [row["reached"] for row in found] == REACHABLE.tolist() == [row["planned"] for row in found]
     assert found[0] == pytest.approx({**found[0], "y": -0.2, "z": 0.6, "start": 0.1})
     assert found[2]["time_s"] is None
-    closest = ceiling.Ceiling(np.float32([0.01, 0.03, 0.12]), np.float32([1.0, 2.0, np.nan]))
-    monkeypatch.setattr(rows, "search", lambda targets_m, start_m, *_, **__: closest)
-    searched = rows.of_searches(TARGETS, (0.0, 0.1))
-    assert [row["start"] for row in searched] == [0.0] * 3 + [0.1] * 3
-    assert {row["planned"] for row in searched} == {None}
-    parts = rows.by_height(searched)
-    assert {label: (part.rows, part.planned, part.mean_time_s) for label, part in parts.items()} == {
-        "z <= 0.70 m": (4, None, 1.5),
-        "z > 0.70 m": (2, None, None),
-        "all": (6, None, 1.5),
+    parts = planner.by_height(found)
+    assert {label: (part.rows, part.planned, part.reached) for label, part in parts.items()} == {
+        "z <= 0.70 m": (2, 1.0, 1.0),
+        "z > 0.70 m": (1, 0.0, 0.0),
+        "all": (3, pytest.approx(2 / 3), pytest.approx(2 / 3)),
     }
-    assert parts["all"].reached == pytest.approx(2 / 3)
-    assert rows.by_height(found)["all"].planned == pytest.approx(2 / 3)
-    assert list(rows.by_height(found[:2])) == ["z <= 0.70 m", "all"]
+    assert parts["all"].mean_time_s == pytest.approx((found[0]["time_s"] + found[1]["time_s"]) / 2)
+    assert parts["z > 0.70 m"].mean_time_s is None
+    assert list(planner.by_height(found[:2])) == ["z <= 0.70 m", "all"]

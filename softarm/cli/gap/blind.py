@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER
-from softarm.common.batch import Workers
-from softarm.common.batch_options import workers_options
+from softarm.cli.shared.console import FILE, FOLDER
+from softarm.cli.shared.errors import leaves
+from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
 
 labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")

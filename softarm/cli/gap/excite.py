@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.operate.robots import independent_body
+from softarm.cli.operate.twin import independent_body
 from softarm.cli.shared.completion import excitations
-from softarm.cli.shared.errors import fail, failing
-from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER, config_option, flown_model, load_config, model_option, prepared
+from softarm.cli.shared.console import FILE, FOLDER, config_option, flown_model, load_config, model_option, prepared
+from softarm.cli.shared.errors import fail, failing, leaves
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:

@@ -5,12 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.gap.inputs import refuse_misplaced
-from softarm.cli.gap.rail_limits import limits_option, write_limits
-from softarm.cli.shared.errors import writing
-from softarm.cli.shared.interrupt import NOTHING, leaves
-from softarm.cli.shared.options import FILE, FOLDER, INPUT, json_option, model_option
-from softarm.cli.shared.printing import print_table, print_text, warn
+from softarm.cli.gap.recorded import limits_option, refuse_misplaced, write_limits
+from softarm.cli.shared.console import FILE, FOLDER, INPUT, json_option, model_option, print_table, print_text, warn
+from softarm.cli.shared.errors import NOTHING, leaves, writing
 from softarm.common.processes import bar
 from softarm.common.quantity import KPA_PER_PSI
 

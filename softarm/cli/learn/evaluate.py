@@ -1,51 +1,93 @@
 """`softarm evaluate`: how often policies reach their targets, flown by the real control loop."""
 
 import shlex
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from softarm.cli.learn.choice import Choice
-from softarm.cli.learn.compare import compare, worst
-from softarm.cli.learn.film import film
 from softarm.cli.shared.completion import policies_and_files
-from softarm.cli.shared.errors import failing
-from softarm.cli.shared.interrupt import NOTHING, leaves
-from softarm.cli.shared.options import (
+from softarm.cli.shared.console import (
     FILE,
     FOLDER,
+    check_places,
     config_option,
     flown_model,
     json_option,
     load_config,
     model_option,
+    print_table,
     typed,
+    waiting,
+    write,
+    write_bytes,
     write_json,
 )
-from softarm.cli.shared.printing import print_table
-from softarm.common.batch_options import workers_options
+from softarm.cli.shared.errors import NOTHING, fail, failing, leaves
+from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.evaluation.entries import Entry
+    from softarm.evaluation.leaderboard import Row
     from softarm.schemas.config import Config
     from softarm.schemas.model import Model
 
 DEFAULT_POLICY = "reach"
 
 
-def _renamed(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> None:
-    if given:
-        raise click.UsageError(
-            f"--policy is no option any more: name policies without it: softarm evaluate {shlex.join(given)}"
-        )
+@dataclass(frozen=True)
+class Choice:
+    """Arguments and options of one call, by their names in the command."""
+
+    policies: tuple[str, ...]
+    config_file: Path | None
+    model_file: Path | None
+    compare_all: bool
+    runs: Path | None
+    only: tuple[str, ...]
+    tests: tuple[str, ...]
+    matrix: bool
+    faults: bool
+    report: Path | None
+    film: Path | None
+    target: tuple[float, float] | None
+    workers: Workers
+    keep: Path | None
+    leaderboard: Path | None
+    json_file: Path | None
+
+    def check(self) -> None:
+        """Raise UsageError for options that have no effect together, and Failure for a place that does not exist."""
+        if (self.runs or self.only) and not (self.compare_all or self.matrix):
+            raise click.UsageError(
+                "--runs and --only go with --all. Without --all, name each policy or folder: softarm evaluate POLICY..."
+            )
+        if self.matrix and self.runs is None:
+            raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
+        if self.matrix and (self.policies or self.model_file or self.compare_all):
+            raise click.UsageError(
+                "--matrix flies a sweep's policies on every shipped model: omit POLICY, --model and --all"
+            )
+        others = (self.compare_all, self.matrix, self.tests, self.model_file, self.keep)
+        if self.faults and any((*others, self.film, self.report, self.leaderboard)):
+            raise click.UsageError(
+                "--faults has its own flights and table: omit all options but --config, --workers, --ray and --json"
+            )
+        if self.model_file and (own := [test for test in self.tests if "@" in test]):
+            raise click.UsageError(f"--test {own[0]} names a model itself: omit --model, or @ and what follows")
+        if self.target and self.film is None:
+            raise click.UsageError("--target Y Z is the target of the film: add --film FILE.gif")
+        if self.leaderboard and self.model_file:
+            raise click.UsageError("--leaderboard holds results of the seed's simulator: omit --model")
+        check_places(self.json_file, self.report, self.film, self.leaderboard)
 
 
 @click.command()
 @click.argument("policies", nargs=-1, metavar="[POLICY]...", shell_complete=policies_and_files)
-@click.option("--policy", multiple=True, hidden=True, expose_value=False, callback=_renamed)
 @json_option
 @config_option
 @model_option
@@ -156,10 +198,10 @@ def _needs_table(found: "Sequence[Entry]") -> bool:
 
 
 def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:
-    from softarm.evaluation import evaluation
+    from softarm.evaluation import runner
 
-    with bar(f"flying {entry.name}", evaluation.FLIGHTS) as shown:
-        result = evaluation.evaluate(entry.name, config, model, shown.advance, entry.file)
+    with bar(f"flying {entry.name}", runner.FLIGHTS) as shown:
+        result = runner.evaluate(entry.name, config, model, shown.advance, entry.file)
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
     rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]
     print_table(("targets", "reached"), rows, f"{entry.name}: 54 targets x 3 cart starts")
@@ -168,3 +210,90 @@ def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | 
         f"{result['real_time_factor']:.0f}x real time"
     )
     write_json(choice.json_file, result)
+
+
+def compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
+    """Fly the policies in the tests, print their table, and write the files of the choice.
+
+    Raises:
+        ValueError: a leaderboard is given, and the limits or goals of the configuration are not the default ones.
+    """
+    from softarm.evaluation import leaderboard, page, table
+    from softarm.schemas.config import Config
+
+    if choice.leaderboard is not None:
+        leaderboard.load(choice.leaderboard)
+        if (config.limits, config.goals) != (Config().limits, Config().goals):
+            raise ValueError("--leaderboard: results need the default limits and goals: omit both in --config")
+    command = shlex.join(["softarm", *sys.argv[1:]])
+    if choice.keep is not None:
+        leaves(f"finished jobs are kept in {choice.keep}; the same command continues")
+    result = table.compare(found, choice.workers, tests, config, choice.keep)
+    click.echo(page.markdown(result), nl=False)
+    write_json(choice.json_file, result)
+    if choice.report is not None:
+        write(choice.report, page.html(result, command))
+    if choice.leaderboard is not None:
+        _rank(choice.leaderboard, leaderboard.rows(result, found, command))
+
+
+def _rank(file: Path, rows: "list[Row]") -> None:
+    """Add rows to a leaderboard, or end the command with exit code 1 if an entry is not reproduced."""
+    from softarm.evaluation import leaderboard
+
+    before = leaderboard.load(file)
+    board, sentences, same = leaderboard.merged(before, rows)
+    click.echo("\n".join(sentences))
+    if board != before:
+        write(file, leaderboard.text(board))
+    if not same:
+        fail(f"{file}: not every entry was reproduced; check revision and configuration")
+
+
+def worst(choice: Choice, found: "Sequence[Entry]", config: "Config") -> None:
+    """Print the success with each strong fault, and the worst.
+
+    Raises:
+        ValueError: the independent robot is not installed, or the ceiling, which cannot fly it, is among the rows.
+    """
+    from softarm.evaluation import faults
+    from softarm.evaluation import tests as known
+    from softarm.evaluation.entries import CEILING
+
+    if any(entry.name == CEILING for entry in found):
+        raise ValueError(f"{CEILING}: is searched on the simulator alone; omit it, or omit --faults")
+    known.check("held_back")
+    result = faults.measure(found, choice.workers, config)
+    print_table(*faults.lines(result), "targets reached from rest / in mid-swing, %")
+    write_json(choice.json_file, result)
+
+
+def film(
+    file: Path,
+    target_m: tuple[float, float] | None,
+    found: "Sequence[Entry]",
+    tests: tuple[str, ...],
+    config: "Config",
+) -> Callable[[], None]:
+    """Fly what a film shows, before minutes of work, and return a function that draws and writes it."""
+    from softarm.evaluation import film as films
+    from softarm.evaluation import tests as known
+    from softarm.evaluation.entries import CEILING
+    from softarm.evaluation.runner import load
+
+    films.check(file)
+    wanted, robot = films.candidates(tests[0], target_m, config), known.robot(tests[0])
+    first = next((entry for entry in found if entry.name != CEILING), None)
+    if first is None:
+        raise ValueError(f"--film {file}: {CEILING} is a search, not a policy; name a policy")
+    with waiting(f"flying for {file}"):
+        flown = films.fly(load(first.file or first.name, config), robot, wanted, config)
+
+    def write_film() -> None:
+        leaves(f"{file} was not written")
+        with waiting(f"drawing {file}"):
+            content = films.encode(first.name, flown, robot, config, file.suffix)
+        click.echo(films.sentence(first.name, flown))
+        write_bytes(file, content)
+
+    return write_film

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.options import FILE, load_model, write
-from softarm.cli.shared.printing import print_table
+from softarm.cli.shared.console import FILE, load_model, print_table, write
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
@@ -38,7 +37,7 @@ def show(name: Path) -> None:
     Example:
       softarm model show seed
     """
-    from softarm.simulator.model_rows import effect_rows, robot_rows
+    from softarm.simulator.model_file import effect_rows, robot_rows
 
     loaded = load_model(name)
     columns = ("parameter", "value", "unit", "allowed", "source of the seed value")
@@ -59,7 +58,7 @@ def diff(one: Path, other: Path) -> None:
     Example:
       softarm model diff seed mine.yaml
     """
-    from softarm.simulator.model_rows import differences
+    from softarm.simulator.model_file import differences
 
     found = differences(load_model(one), load_model(other))
     if not found:
@@ -101,6 +100,6 @@ def export(name: Path, out: Path) -> None:
 
 
 def _idle(loaded: "Model") -> str:
-    from softarm.simulator.model_rows import idle_effects
+    from softarm.simulator.model_file import idle_effects
 
     return "".join(f"{name} has its neutral value and no effect\n" for name in idle_effects(loaded))

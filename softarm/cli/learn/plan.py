@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.interrupt import NOTHING, leaves
-from softarm.cli.shared.options import FILE, json_option, load_model, model_option, write_json
-from softarm.cli.shared.printing import print_table, print_text
+from softarm.cli.shared.console import FILE, json_option, load_model, model_option, print_table, print_text, write_json
+from softarm.cli.shared.errors import NOTHING, leaves
 from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
+    from softarm.training.trajectory.planner import Row
     from softarm.training.trajectory.problem import Array
-    from softarm.training.trajectory.rows import Row
 
 OUT = Path("runs/trajectories.npz")
 LISTED = 12  # so many plans are shown one by one
@@ -34,7 +33,6 @@ LISTED = 12  # so many plans are shown one by one
 @model_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first guesses.")
 @click.option("--out", type=FILE, default=OUT, show_default=True, help="The file of plans to write.")
-@click.option("--ceiling", is_flag=True, help="Only search which targets can be reached; write no plans.")
 @click.option("--needs", is_flag=True, help="Only search what would bring the missed targets into reach.")
 @json_option
 def plan(
@@ -43,7 +41,6 @@ def plan(
     model_file: Path | None,
     seed: int,
     out: Path,
-    ceiling: bool,
     needs: bool,
     json_file: Path | None,
 ) -> None:
@@ -56,7 +53,6 @@ def plan(
     Examples:
       softarm dev plan
       softarm dev plan --target -0.2 0.7 --start 0
-      softarm dev plan --ceiling
       softarm dev plan --needs
     """
     import time
@@ -65,8 +61,7 @@ def plan(
 
     from softarm.common.processes import bar
     from softarm.schemas.flights import TEST_TARGETS
-    from softarm.training.trajectory import planner, rows
-    from softarm.training.trajectory.ceiling import ROUNDS
+    from softarm.training.trajectory import planner
 
     leaves(NOTHING)
     model = load_model(model_file) if model_file else None
@@ -75,44 +70,37 @@ def plan(
         _show_needs(aims, model, seed, json_file)
         return
     wall, cpu = time.perf_counter(), time.process_time()
-    if ceiling:
-        with bar("searching", ROUNDS * len(starts)) as shown:
-            found = rows.of_searches(aims, starts, model, seed, shown.advance)
-    else:
-        with bar("planning") as shown:
-            name = model_file.stem if model_file else "seed"
-            report = planner.plan(aims, starts, model, name, seed, shown.advance)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        report.plans.save(out)
-        found = rows.of_plans(report)
+    with bar("planning") as shown:
+        name = model_file.stem if model_file else "seed"
+        report = planner.plan(aims, starts, model, name, seed, shown.advance)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    report.plans.save(out)
+    found = planner.rows(report)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    _show(found)
-    done = "searched" if ceiling else "planned and flown"
-    print_text(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
+    show(found)
+    print_text(f"{len(found)} planned and flown in {wall:.1f} s ({cpu:.1f} s of processor time)")
     write_json(json_file, {"wall_s": wall, "cpu_s": cpu, "rows": found})
-    if not ceiling:
-        print_text(f"wrote {out}. Next: fly the plans with the real control loop:")
-        click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
-        click.echo("  softarm evaluate mine --config mine.yaml")
+    print_text(f"wrote {out}. Next: fly the plans with the real control loop:")
+    click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
+    click.echo("  softarm evaluate mine --config mine.yaml")
 
 
-def _show(found: "list[Row]") -> None:
+def show(found: "list[Row]") -> None:
     """Print a row per plan, or per height if there are many, and the targets that were missed."""
-    from softarm.training.trajectory import rows
+    from softarm.training.trajectory import planner
 
     lines = []
     if len(found) <= LISTED:
         for row in found:
             start, place, miss = f"{row['start']:.2f}", f"{row['y']:.2f}, {row['z']:.2f}", f"{row['miss_m'] * 1e3:.1f}"
-            planned = "-" if row["planned_miss_m"] is None else f"{row['planned_miss_m'] * 1e3:.1f}"
+            planned = f"{row['planned_miss_m'] * 1e3:.1f}"
             lines.append((start, place, planned, miss, "not" if row["time_s"] is None else f"{row['time_s']:.2f}"))
         columns = ("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
         print_table(columns, lines)
         return
-    for label, part in rows.by_height(found).items():
-        planned = "-" if part.planned is None else f"{100 * part.planned:.1f} %"
+    for label, part in planner.by_height(found).items():
         after = "-" if part.mean_time_s is None else f"{part.mean_time_s:.2f} on average"
-        lines.append((label, str(part.rows), planned, f"{100 * part.reached:.1f} %", after))
+        lines.append((label, str(part.rows), f"{100 * part.planned:.1f} %", f"{100 * part.reached:.1f} %", after))
     print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), lines)
     if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
         print_text("missed from at least one start: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))
@@ -121,9 +109,9 @@ def _show(found: "list[Row]") -> None:
 def _show_needs(targets_m: "Array", model: "Model | None", seed: int, json_file: Path | None) -> None:
     """Print and write the smallest change of each quantity that reaches each missed target."""
     from softarm.common.processes import bar
-    from softarm.training.trajectory import needs
+    from softarm.training.trajectory import ceiling
 
     with bar("searching", None) as shown:
-        found = needs.figures(needs.of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing)))
-    print_table(*needs.lines(found))
+        found = ceiling.figures(ceiling.of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing)))
+    print_table(*ceiling.lines(found))
     write_json(json_file, found)

@@ -5,12 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail, failing
-from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER, given, model_option, typed
-from softarm.cli.shared.printing import waiting
-from softarm.common.batch import Workers
-from softarm.common.batch_options import workers_options
+from softarm.cli.shared.console import FILE, FOLDER, given, model_option, typed, waiting
+from softarm.cli.shared.errors import fail, failing, leaves
+from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -82,7 +79,7 @@ def train(
         raise click.UsageError("--robots and --device are for learning in the simulator: leave them out with --from")
 
     from softarm.training.learn import inference
-    from softarm.training.record import tensorboard
+    from softarm.training.record import curve
     from softarm.training.run.recipe import begin, named
     from softarm.training.run.report import ending
 
@@ -102,7 +99,7 @@ def train(
                 session = begin(recipe, seed, folder, pool, resume)
             else:
                 recipe, session = _cloning(recipe, dataset, seed, folder, pool, resume)
-        if missing := tensorboard.missing():
+        if missing := curve.tensorboard_missing():
             click.secho(missing, fg="yellow")
         end = frames or (None if minutes else recipe.frames)
         with bar("starting", done=session.finished(end, minutes), stay=True) as shown:
@@ -124,8 +121,8 @@ def _cloning(
 ) -> tuple["Recipe", "Session"]:
     """Return recipe and session of a run that clones a dataset; raise ValueError if it cannot be used."""
     from softarm.recordings import lerobot
-    from softarm.training.learn.cloning import Demonstration
     from softarm.training.run import clone
+    from softarm.training.run.clone import Demonstration
 
     try:
         episodes = lerobot.read(dataset)
@@ -139,10 +136,10 @@ def _cloning(
 
 def _train_sweep(file: Path, out: Path, workers: Workers) -> None:
     """Train the unfinished runs of a sweep and write OUT/results.json and OUT/results.md."""
-    from softarm.training.record import tensorboard
+    from softarm.training.record import curve
     from softarm.training.run import sweep
 
-    if missing := tensorboard.missing():
+    if missing := curve.tensorboard_missing():
         click.secho(missing, fg="yellow")
     leaves(f"finished runs are kept in {out}; the same command continues with the others")
     sweep.refuse_beside(typed())

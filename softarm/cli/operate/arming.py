@@ -5,8 +5,7 @@ import time
 import click
 
 from softarm.cli.shared.client import Remote, remote
-from softarm.cli.shared.errors import fail
-from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.errors import fail, leaves
 
 _PATIENCE_S = 1.0
 _POLL_S = 0.05

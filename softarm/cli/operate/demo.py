@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import model_option
-from softarm.cli.shared.printing import print_table, waiting
+from softarm.cli.shared.console import model_option, print_table, waiting
+from softarm.cli.shared.errors import leaves
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.goals import Goal
 

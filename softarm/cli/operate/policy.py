@@ -5,12 +5,11 @@ from typing import Any
 
 import click
 
+from softarm.cli.groups import Verbs
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import policies
+from softarm.cli.shared.console import FILE, load_config, print_json, print_option, waiting
 from softarm.cli.shared.errors import Unreachable
-from softarm.cli.shared.options import FILE, load_config
-from softarm.cli.shared.printing import print_json, print_option, waiting
-from softarm.cli.verbs import Verbs
 
 Json = dict[str, Any]
 LOADING_S = 125.0  # the daemon stops loading a policy after 120 s

@@ -1,16 +1,19 @@
 """`softarm run`: run the daemon on the robot or on a robot simulated in this process."""
 
+import os
 import signal
+import subprocess
+import sys
+import threading
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.browser import open_page
 from softarm.cli.shared.client import options_for, url_of
-from softarm.cli.shared.interrupt import leaves, left_now
-from softarm.cli.shared.options import config_option, flown_model, model_option, prepared
+from softarm.cli.shared.console import config_option, flown_model, model_option, prepared
+from softarm.cli.shared.errors import leaves, left_now
 
 if TYPE_CHECKING:
     from softarm.daemon.assembly import Daemon
@@ -118,3 +121,33 @@ def announce(running: "Daemon", to_open: bool = False) -> None:
 def _answering(running: "Daemon") -> "Api":
     """Return the API's settings with the port in use."""
     return running.config.api.model_copy(update={"port": running.port})
+
+
+_DESKTOP = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+# A browser must not inherit the daemon's real-time priority.
+_CODE = """
+import os, sys
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+import webbrowser
+sys.exit(not webbrowser.open(sys.argv[1]))
+"""
+
+
+def open_page(url: str) -> threading.Thread:
+    """Open an address in the browser, or print that there is none.
+
+    Returns at once, with the thread that waits for the answer. The browser has no terminal, so none in text mode takes
+    the daemon's.
+    """
+    thread = threading.Thread(target=_open, args=(url,), name="browser", daemon=True)
+    thread.start()
+    return thread
+
+
+def _open(url: str) -> None:
+    command, null = [sys.executable, "-c", _CODE, url], subprocess.DEVNULL
+    if (
+        not any(map(os.environ.get, _DESKTOP))
+        or subprocess.run(command, stdin=null, stdout=null, stderr=null, start_new_session=True).returncode
+    ):
+        click.echo(f"no browser here: open {url} in one", err=True)

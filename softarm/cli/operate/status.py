@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 from softarm.cli.shared.client import Remote, remote
-from softarm.cli.shared.printing import clock, print_json
+from softarm.cli.shared.console import clock, print_json
 from softarm.schemas.policy import OBSERVATION
 
 Json = dict[str, Any]

@@ -8,22 +8,21 @@ from typing import Any
 import click
 
 from softarm.cli.shared.client import Remote, remote
-from softarm.cli.shared.printing import clock
+from softarm.cli.shared.console import clock
 
 Json = dict[str, Any]
 POLL_S = 0.5
 PAGE = 1000  # the daemon's maximum per request
 
 
-@click.command(context_settings={"allow_extra_args": True})
+@click.command()
 @click.option(
     "--limit", type=click.IntRange(1, PAGE), default=50, show_default=True, help="Number of events, newest last."
 )
 @click.option("--follow", is_flag=True, help="Keep showing new ones until Ctrl-C.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON per event.")
 @remote
-@click.pass_context
-def events(context: click.Context, daemon: Remote, limit: int, follow: bool, as_json: bool) -> None:
+def events(daemon: Remote, limit: int, follow: bool, as_json: bool) -> None:
     """Show events: requests and their clients, mode changes, stops, goals, lost and recovered devices, faults.
 
     The daemon keeps the newest 1000 events. `softarm logs show LOG` shows those of a recording.
@@ -34,9 +33,6 @@ def events(context: click.Context, daemon: Remote, limit: int, follow: bool, as_
       softarm events --follow
       softarm events --limit 1000 --json
     """
-    if context.args:
-        click.echo("Error: `softarm events LOG` is now `softarm logs show LOG`", err=True)
-        context.exit(2)
     for event in _live(daemon, limit, follow):
         show_event(event, as_json)
 

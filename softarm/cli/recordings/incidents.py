@@ -7,9 +7,8 @@ import click
 
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import incident_files
+from softarm.cli.shared.console import FILE, FOLDER, clock, print_json, print_option, write_bytes
 from softarm.cli.shared.errors import fail
-from softarm.cli.shared.options import FILE, FOLDER, write_bytes
-from softarm.cli.shared.printing import clock, print_json, print_option
 
 Json = dict[str, Any]
 LATEST = "latest"

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.groups import Verbs
+from softarm.cli.shared.console import FILE, print_json, print_option, print_table, write
 from softarm.cli.shared.errors import fail
-from softarm.cli.shared.options import FILE, write
-from softarm.cli.shared.printing import print_json, print_option, print_table
-from softarm.cli.verbs import Verbs
 
 WIDTH = 160  # of the table where there is no terminal
 

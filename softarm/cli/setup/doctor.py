@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.client import url_of
-from softarm.cli.shared.options import FOLDER, config_option, token_of, token_option, url_option
-from softarm.cli.shared.printing import print_json, print_option
+from softarm.cli.shared.console import (
+    FOLDER,
+    config_option,
+    print_json,
+    print_option,
+    token_of,
+    token_option,
+    url_option,
+)
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:

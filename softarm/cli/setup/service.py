@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.groups import Verbs
+from softarm.cli.shared.console import FILE, load_config
 from softarm.cli.shared.errors import fail
-from softarm.cli.shared.options import FILE, load_config
-from softarm.cli.verbs import Verbs
 
 if TYPE_CHECKING:
     from softarm.daemon.install.plan import System

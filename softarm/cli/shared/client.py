@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 import httpx
 
-from softarm.cli.shared.errors import Unreachable, fail
-from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import given, token_of, token_option
+from softarm.cli.shared.console import given, token_of, token_option
+from softarm.cli.shared.errors import Unreachable, fail, leaves
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:

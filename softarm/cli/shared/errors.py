@@ -1,10 +1,11 @@
-"""Errors of verbs: one sentence on standard error and exit code 1. Usage errors are click's and exit with 2.
+"""How verbs end: with one sentence on standard error and exit code 1, or at Ctrl-C with what they leave behind.
 
-An exception class of any module of softarm has such a sentence as its text, and `LazyGroup` ends the verb with it. A
-verb itself handles Python's own exceptions, with `failing` and `writing`, where their text is such a sentence.
+Usage errors are click's and exit with 2. An exception class of any module of softarm has such a sentence as its text,
+and `LazyGroup` ends the verb with it. A verb itself handles Python's own exceptions, with `failing` and `writing`,
+where their text is such a sentence.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any, NoReturn
 
@@ -19,6 +20,9 @@ EXITS = {
     70: "defect in softarm: `softarm --debug VERB ...` shows the traceback",
     130: "Ctrl-C: standard error states what was left, and in which state",
 }
+INTERRUPTED = 130  # exit code: 128 and the number of SIGINT, as shells count
+NOTHING = "nothing was written"
+_KEY = "softarm.leaves"
 
 
 class Failure(click.ClickException):
@@ -54,3 +58,14 @@ def writing(remedy: str = "choose another place") -> Iterator[None]:
         yield
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); {remedy}")
+
+
+def leaves(what: str | Callable[[], str]) -> None:
+    """Set the text that Ctrl-C prints from now on, or a function that returns it."""
+    click.get_current_context().meta[_KEY] = what
+
+
+def left_now() -> str:
+    """Return the text set with `leaves`, or an empty text."""
+    what = click.get_current_context().meta.get(_KEY, "")
+    return str(what() if callable(what) else what)

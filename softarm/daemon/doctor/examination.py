@@ -8,7 +8,7 @@ from softarm.common.finding import Finding, ok, warning
 from softarm.daemon.doctor import clocks, disk, from_logs, models, ports, running, scheduling, software, untried
 from softarm.daemon.doctor.running import Running
 from softarm.daemon.runtime import preflight
-from softarm.recordings.listing import listing
+from softarm.recordings.log_file import listing
 from softarm.schemas.config import Config
 
 

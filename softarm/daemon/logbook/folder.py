@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import BinaryIO
 
-from softarm.recordings import finishing, mcap_file
+from softarm.recordings import log_file, mcap_file
 from softarm.schemas.config import Recorder
 
 log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:
             file = path.open("xb")
         except FileExistsError:
             continue
-        finishing.hold(file.fileno())
+        log_file.hold(file.fileno())
         return path.absolute(), file
     raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
 
@@ -92,7 +92,7 @@ def finish_left(directory: Path, own: Path, pause: Callable[[], None]) -> None:
     for path in sorted(directory.glob("*.mcap")):
         try:
             if path != own and path.is_file() and not mcap_file.is_finished(path):  # a pipe would wait for its writer
-                log.info("finishing an interrupted log: %s", finishing.recover(path, pause).ending)
+                log.info("finishing an interrupted log: %s", log_file.recover(path, pause).ending)
         except (OSError, mcap_file.LogError) as error:  # an old log must not disturb the new one
             log.warning("an interrupted log cannot be finished and stays unchanged: %s: %s", path, error)
 
@@ -110,7 +110,7 @@ def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float |
     for path, state in states.items():
         too_old = now_s - state.st_mtime > keep_s
         too_much = total_bytes > keep_bytes
-        if path == own or not (too_old or too_much) or finishing.is_held(path):
+        if path == own or not (too_old or too_much) or log_file.is_held(path):
             continue
         path.unlink()
         total_bytes -= state.st_size

@@ -21,7 +21,7 @@ from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook import folder
 from softarm.daemon.logbook.ticks import PACKAGES, TickFile
 from softarm.policies.base import PolicySpec
-from softarm.recordings import finishing
+from softarm.recordings import log_file
 from softarm.recordings.live import LogMessage
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
@@ -144,7 +144,7 @@ def write(directory: Path, config: Config, incident: Incident) -> Path:
         ticks = Path(scratch) / "log.mcap"
         with ticks.open("wb") as file:
             _fill(TickFile(file), config, incident)
-        finishing.finish(ticks, folder.Pause())
+        log_file.finish(ticks, folder.Pause())
         with files.replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.comment = json.dumps({"time": stop.time.isoformat(), "text": stop.text[:TEXT_MAX]}).encode()
             about = READ_ME.format(text=stop.text, time=stop.time, version=software["softarm"], machine=machine["name"])

@@ -9,7 +9,7 @@ from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import ticks
 from softarm.daemon.logbook.history import Changes, utc
 from softarm.recordings import mcap_file
-from softarm.recordings.channels import EVENT
+from softarm.recordings.live import EVENT
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log

@@ -23,7 +23,7 @@ from softarm.daemon.logbook.recent import Recent
 from softarm.daemon.logbook.thinning import Thinning
 from softarm.daemon.logbook.ticks import TickFile
 from softarm.policies.base import PolicySpec
-from softarm.recordings import finishing
+from softarm.recordings import log_file
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 
@@ -245,7 +245,7 @@ class Recorder:
                 raise _Enough
 
         try:
-            finishing.finish(path, check_time)
+            log_file.finish(path, check_time)
         except _Enough:
             log.info("%s is long: it will be compressed at the next start", path)
         except OSError as error:

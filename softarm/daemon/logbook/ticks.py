@@ -11,8 +11,7 @@ from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, Tick, TickTiming
 from softarm.daemon.logbook import ticks
 from softarm.policies.base import PolicySpec
-from softarm.recordings.channels import EVENT, MOCAP, PRESSURE, RAIL, LogChannel
-from softarm.recordings.live import LiveFile, LogMessage
+from softarm.recordings.live import EVENT, MOCAP, PRESSURE, RAIL, LiveFile, LogChannel, LogMessage
 from softarm.schemas import log
 from softarm.schemas import log as names
 from softarm.schemas.config import Config

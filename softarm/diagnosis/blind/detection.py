@@ -14,8 +14,7 @@ import click
 import numpy as np
 
 from softarm.common import batch, files
-from softarm.common.batch import Kept, Work, Workers
-from softarm.common.batch_options import workers_options
+from softarm.common.batch import Kept, Work, Workers, workers_options
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.cases import Case, with_trials
 from softarm.diagnosis.blind.imperfections import KNOWN, Cause, Variant, draw_nuisances, given, ranges

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.trials import ROBOT_CHANNELS, Series, Trial, TrialError
-from softarm.recordings import channels, flight, mcap_file
+from softarm.recordings import flight, live, mcap_file
 from softarm.schemas import log
 from softarm.schemas.messages import BODY_NAMES, CAPTURE_AHEAD_MAX_NS
 
@@ -52,7 +52,7 @@ class _Readings:
     def add(self, topic: str, data: bytes) -> None:
         """Append a message's values to their channel."""
         if topic == log.MOCAP:
-            frame = channels.MOCAP.decode(data)
+            frame = live.MOCAP.decode(data)
             if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
                 return  # stamped by another clock: the control loop rejected this frame
             poses = [
@@ -63,10 +63,10 @@ class _Readings:
             captured = self._seconds(frame.t_capture_ns)
             self.rows["mocap"].append((captured, self._seconds(frame.t_receive_ns), *poses))
         elif topic == log.PRESSURE:
-            gauge = channels.PRESSURE.decode(data)
+            gauge = live.PRESSURE.decode(data)
             self.rows["pressure"].append((self._seconds(gauge.t_receive_ns), gauge.pressure_kpa))
         elif topic == log.RAIL:
-            rail = channels.RAIL.decode(data)
+            rail = live.RAIL.decode(data)
             self.rows["rail"].append((self._seconds(rail.t_receive_ns), rail.position_m, rail.velocity_m_s))
         elif topic == log.TICK:
             self._add_tick(flight.Tick.model_validate_json(data).outputs)

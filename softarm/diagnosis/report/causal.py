@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report.words import corrected
-from softarm.reporting.drawing import line, svg, write
+from softarm.reporting.charts import line, svg, write
 from softarm.reporting.markup import Html, el, join
 from softarm.reporting.numbers import percent, quantity
 from softarm.simulator.effects import STAGES

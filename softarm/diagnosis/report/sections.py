@@ -23,7 +23,7 @@ from softarm.reporting.markup import Html, bar, el, join, prose, table, tiles
 from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.excitation import Excitation
 from softarm.schemas.verdict import NamedEffect, NextExperiment
-from softarm.simulator.model_rows import differences
+from softarm.simulator.model_file import differences
 
 _KINDS = {
     "named": "named: the named effects explain most of the explainable gap",

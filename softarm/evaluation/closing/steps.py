@@ -15,7 +15,7 @@ from softarm.common.words import did_you_mean
 from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.evaluation.closing import story, summary
+from softarm.evaluation.closing import story
 from softarm.evaluation.closing.closed import Closed, Place, Spent
 from softarm.evaluation.closing.diagnosed import with_diagnosed
 from softarm.evaluation.closing.fly import MOST, NONE, Flown, Replanning, compare, fly
@@ -28,8 +28,7 @@ from softarm.schemas.config import RailLimits
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
-from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
-from softarm.training.run.warm_start import load_weights
+from softarm.training.run.retrain import Retrained, RetrainingConfig, load_weights, retrain
 
 LIMITS, PATCH = "limits-patch.yaml", "patched-model.yaml"
 FILES = ("verdict.json", "report.html", "summary.json", LIMITS, PATCH, "retrained.onnx", "retrained.pt")
@@ -141,7 +140,7 @@ def _write_diagnosis(found: Diagnosis, out: Path, further: Sequence[tuple[str, s
 def _write(closed: Closed, out: Path) -> None:
     """Write the report, the verdict and the summary."""
     _write_diagnosis(closed.diagnosis, out, story.sections(closed))
-    files.write_text(out / "summary.json", json.dumps(summary.summary(closed), indent=1) + "\n")
+    files.write_text(out / "summary.json", json.dumps(story.summary(closed), indent=1) + "\n")
 
 
 def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:

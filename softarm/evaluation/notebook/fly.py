@@ -19,7 +19,7 @@ from softarm.daemon.logbook.ticks import TickFile
 from softarm.evaluation.notebook import needs
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicySpec
-from softarm.recordings import finishing, player, tables
+from softarm.recordings import log_file, player, tables
 from softarm.reporting.document import framed
 from softarm.schemas.config import Config
 from softarm.schemas.config import Policy as ConfiguredPolicy
@@ -108,7 +108,7 @@ class RecordedFlight:
                 for tick in self.ticks:
                     live.write(tick)
                 live.flush()
-            finishing.finish(path)
+            log_file.finish(path)
             return read(logs.read(path))
 
 

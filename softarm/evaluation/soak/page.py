@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from softarm.evaluation.soak import lockstep, realtime
-from softarm.evaluation.soak.script import Unexpected
-from softarm.evaluation.soak.slopes import Slope, judge, warm_up
+from softarm.evaluation.soak.clients import Unexpected
+from softarm.evaluation.soak.growth import Slope, judge, warm_up
 from softarm.reporting import charts
 from softarm.reporting.document import Section, document
 from softarm.reporting.markup import Html, el, join, table, tiles

@@ -15,10 +15,9 @@ import zenoh
 
 from softarm.drivers.mocap import zenoh_session
 from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
-from softarm.evaluation.soak import usage
-from softarm.evaluation.soak.hammer import Hammer
-from softarm.evaluation.soak.script import Act, Script, Unexpected
-from softarm.evaluation.soak.slopes import Slope, Statistic, slope
+from softarm.evaluation.soak import growth
+from softarm.evaluation.soak.clients import Act, Hammer, Script, Unexpected
+from softarm.evaluation.soak.growth import Slope, Statistic, slope
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 
 LOOK_S = 0.1  # between two reads of the status
@@ -124,8 +123,8 @@ class _Watch:
 
     def _watch(self, pid: int) -> None:
         """Watch the daemon and the rail's process; the process of a policy trial is temporary."""
-        self._pids = [pid, *(child for child in usage.children(pid) if RAIL_PROCESS in usage.command(child))]
-        self._cpu_s, self._sampled_s = usage.of(self._pids).cpu_s, time.monotonic()
+        self._pids = [pid, *(child for child in growth.children(pid) if RAIL_PROCESS in growth.command(child))]
+        self._cpu_s, self._sampled_s = growth.of(self._pids).cpu_s, time.monotonic()
 
     def look(self, status: dict[str, Any]) -> None:
         """Record lateness and missed ticks of a status."""
@@ -138,12 +137,12 @@ class _Watch:
         if now_s - self._sampled_s < max(1.0, total_s / SAMPLES) or not self._late_ms:
             return
         try:
-            now = usage.of(self._pids)
+            now = growth.of(self._pids)
         except OSError:  # the rail's process was replaced, or the daemon has ended
             with contextlib.suppress(OSError):
                 self._watch(self._pids[0])
             return
-        logs_mb = usage.folder_mb(self._logs)
+        logs_mb = growth.folder_mb(self._logs)
         self.logs_max_mb = max(self.logs_max_mb, logs_mb)
         late_ms = sorted(self._late_ms)[len(self._late_ms) // 2]
         cpu = 100 * (now.cpu_s - self._cpu_s) / (now_s - self._sampled_s)

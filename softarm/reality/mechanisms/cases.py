@@ -9,8 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softarm.reality.mechanisms.record import RATE_HZ, Truth, record, write
-from softarm.reality.mechanisms.robots import ROBOTS, JointLaw, Robot
+from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, record, write
 
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0

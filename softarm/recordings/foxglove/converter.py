@@ -1,23 +1,59 @@
-"""Conversion of a log's messages to Foxglove's, one by one, for files and live data."""
+"""Logs for Foxglove: conversion of messages and schemas, one by one, for files and live data; export of a file."""
 
 import json
 import math
+import re
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib.resources import files
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from mcap import records
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from mcap.writer import Writer
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from softarm.recordings import flight
+from softarm.common import files as atomic
+from softarm.recordings import flight, mcap_file
 from softarm.recordings.flight import Moment, Tick
 from softarm.recordings.foxglove import scene
-from softarm.recordings.foxglove.plain import plain
-from softarm.recordings.live import LogMessage
+from softarm.recordings.live import LIBRARY, LogMessage, register
+from softarm.recordings.log_file import LogFile
+from softarm.reporting.colours import on_any_ground
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+
+_KEPT = ("title", "description", "type", "enum", "const", "format")
+Node = dict[str, Any]
+
+
+def plain(schema: bytes) -> bytes:
+    """Return the schema of an object in this form. Raises KeyError if a reference has no definition."""
+    root: Node = json.loads(schema)
+    return json.dumps(_plain(root, root.get("$defs", {})), allow_nan=False).encode()
+
+
+def _plain(node: Node, named: Node) -> Node:
+    if "$ref" in node:
+        node = named[node["$ref"].rpartition("/")[2]] | {name: node[name] for name in _KEPT if name in node}
+    if "anyOf" in node:
+        first = next((one for one in node["anyOf"] if one.get("type") != "null"), {"type": "string"})
+        return _plain(first, named) | {name: node[name] for name in ("title", "description") if name in node}
+    made = {name: node[name] for name in _KEPT if name in node}
+    made.setdefault("type", "string")  # of listed values without a type
+    if made["type"] == "object":
+        fields = node.get("properties", {})
+        made["properties"] = {name: _plain(field, named) for name, field in fields.items()}
+        made["required"] = [name for name in node.get("required", ()) if not _nullable(fields[name])]
+    if made["type"] == "array":
+        made["items"] = _plain(node.get("items") or (node.get("prefixItems") or [{"type": "string"}])[0], named)
+    return made
+
+
+def _nullable(node: Node) -> bool:
+    return any(one.get("type") == "null" for one in node.get("anyOf", ()))
+
 
 FIXED, FRAMES, ROBOT, TARGET, SHELF = "/tf_static", "/tf", "/scene/robot", "/scene/target", "/scene/shelf"
 TRAIL, TRAIL_NS, TRAIL_STEP_NS = "/scene/trail", 1_500_000_000, 50_000_000  # trail of the tip: duration and steps
@@ -204,3 +240,62 @@ class Converter:
 
 def _json(value: Any) -> bytes:
     return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
+
+
+Advance = Callable[[], None]
+
+
+def layout() -> str:
+    """Return the layout for Foxglove: 3D, plots, states and journal, in the colours of `softarm.reporting`."""
+    text = (files("softarm.recordings.foxglove") / "layout.json").read_text(encoding="utf-8")
+    return re.sub(r'"color": "([a-z]+)"', lambda found: f'"color": "{_hex(found[1])}"', text)
+
+
+def _hex(name: str) -> str:
+    return "#" + "".join(f"{round(255 * part):02x}" for part in on_any_ground(name))
+
+
+def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> None:
+    """Write a log and its events for Foxglove; the log itself is not changed.
+
+    Raises:
+        LogError: The log cannot be read.
+        OSError: The file cannot be written.
+    """
+    offset_ns = flight.wall_minus_monotonic_ns(log.path, log.metadata)
+    changing = Converter(log.config, offset_ns)
+    with atomic.replacing(target) as file:
+        writer = Writer(file)
+        writer.start(profile="", library=LIBRARY)
+        ids = {channel.topic: register(writer, *channel) for channel in channels()}
+        topics: dict[int, str] = {}
+        schemas: dict[int, records.Schema] = {}
+        count = 0
+
+        def put(message: LogMessage) -> None:
+            nonlocal count
+            count += 1
+            writer.add_message(ids[message.topic], message.log_time, message.data, message.publish_time, count)
+
+        for record in mcap_file.records(log.path):
+            match record:
+                case records.Schema():
+                    schemas[record.id] = record
+                case records.Channel():
+                    topics[record.id] = record.topic
+                    if record.topic not in ids:  # a finished log repeats it at its end
+                        ids[record.topic] = register(writer, *own(record, schemas[record.schema_id]))
+                case records.Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+                case records.Message():
+                    advance()
+                    topic = topics[record.channel_id]
+                    try:
+                        for message in changing.take(topic, record.log_time, record.publish_time, record.data):
+                            put(message)
+                    except ValidationError as error:
+                        raise flight.unreadable(log.path, topic, error) from None
+        if not changing.has_events:
+            for entry in entries:
+                put(changing.journal(entry))
+        writer.finish()

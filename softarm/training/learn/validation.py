@@ -16,11 +16,9 @@ from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.training.learn.inference import actor
 from softarm.training.learn.network import PolicyNetwork
-from softarm.training.task.environment import Environment, Step
-from softarm.training.task.randomisation import Randomisation
-from softarm.training.task.reach import Array, ReachTask, Starts
+from softarm.training.task.environment import Environment, Randomisation, ShelfEnvironment, Step
+from softarm.training.task.reach import Array, ReachTask, ShelfTask, Starts
 from softarm.training.task.registry import plugin_of
-from softarm.training.task.shelf import ShelfEnvironment, ShelfTask
 from softarm.training.task.tensor_environment import TensorEnvironment, array_of, environment_on
 
 VALIDATION_SEED = 20230

@@ -21,13 +21,11 @@ from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, Po
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn import validation
 from softarm.training.learn.inference import actor, workers
-from softarm.training.learn.network import PolicyNetwork
-from softarm.training.learn.normaliser import CLIP
-from softarm.training.record.checkpoint import load_policy, task_of
+from softarm.training.learn.network import CLIP, PolicyNetwork
+from softarm.training.record.checkpoint import Settings, load_policy, task_of
 from softarm.training.record.curve import Iteration, validated
-from softarm.training.record.settings import Settings
+from softarm.training.task.environment import environment_of
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import environment_of
 
 Array = NDArray[np.float32]
 

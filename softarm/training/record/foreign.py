@@ -15,8 +15,8 @@ from torch import nn
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, OBSERVATION
 from softarm.training.learn import validation
+from softarm.training.record.checkpoint import Settings, flat
 from softarm.training.record.export import Graph, described, finished, golden_run, write_model
-from softarm.training.record.settings import Settings, flat
 from softarm.training.task.reach import ReachTask
 
 Array = NDArray[np.float32]

@@ -17,12 +17,11 @@ from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record.settings import TrainingConfig
+from softarm.training.record.checkpoint import TrainingConfig
 from softarm.training.run.session import Session
 from softarm.training.task import registry
-from softarm.training.task.randomisation import Randomisation
-from softarm.training.task.reach import TASKS, ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.environment import Randomisation
+from softarm.training.task.reach import TASKS, ReachTask, ShelfTask
 
 Setting = bool | int | float | str | tuple[float, ...]
 Part = TypeVar("Part")

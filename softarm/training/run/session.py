@@ -17,10 +17,9 @@ from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig, Statistics
 from softarm.training.learn.validation import fly, validation_scenarios
 from softarm.training.record import checkpoint, curve, export
-from softarm.training.record.settings import DTYPES, TrainingConfig, recorded, usual
-from softarm.training.record.tensorboard import EventFile
-from softarm.training.task.environment import ACTIONS, Environment
-from softarm.training.task.randomisation import Randomisation
+from softarm.training.record.checkpoint import DTYPES, TrainingConfig, recorded, usual
+from softarm.training.record.curve import EventFile
+from softarm.training.task.environment import ACTIONS, Environment, Randomisation
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.registry import plugin_of
 from softarm.training.task.tensor_environment import TensorEnvironment, environment_on

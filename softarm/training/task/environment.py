@@ -6,6 +6,8 @@ the rail guard use the true state.
 """
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +18,42 @@ from softarm.policies.base import HIGH, LOW
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, REACH_GOAL, Observation, places
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
+from softarm.simulator.effects import EffectError, find, out_of_range
+from softarm.simulator.model_file import idle_effects
 from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
-from softarm.training.task.randomisation import Draw, Randomisation
-from softarm.training.task.reach import Moment, ReachTask, Starts
+from softarm.training.task.reach import Moment, ReachTask, ShelfTask, Starts
+
+Draw = dict[str, NDArray[np.float64]]  # 'stage.effect.parameter' -> one value a robot, [R]
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """Ranges to draw from, and how often; without ranges nothing is drawn."""
+
+    # 'stage.effect.parameter' -> lowest and highest value, in its unit; effects that the model lacks are added
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    each_episode: bool = False  # draw again for each episode of a robot, else only once
+
+    def __post_init__(self) -> None:
+        """Check the ranges. Raises EffectError for an unknown or invalid effect, ValueError for a reversed range."""
+        for path, (low, high) in self.ranges.items():
+            effect, parameter = find(path)
+            for end in (low, high):
+                if not parameter.admits(end):
+                    raise EffectError(out_of_range(effect, parameter, end))
+            if not low <= high < np.inf:
+                raise ValueError(f"{path} has the range {low} to {high}; give a lower and a higher finite end")
+
+    def effects_with(self, model: Model) -> set[str]:
+        """Return the effects of a model that are not at their neutral value, and those that are drawn."""
+        return (model.effects.keys() - idle_effects(model)) | {path.rpartition(".")[0] for path in self.ranges}
+
+    def draw(self, rng: np.random.Generator, robots: int) -> Draw:
+        """Draw values for a number of robots; empty without ranges."""
+        return {path: rng.uniform(low, high, robots) for path, (low, high) in self.ranges.items()}
+
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -279,3 +312,55 @@ class Environment:
         observation[:, SEEN], observation[:, SENT], observation[:, PRESSURE] = seen, self._sent, pressure
         observation[:, len(Observation._fields) :] = self._target
         return observation
+
+
+class ShelfEnvironment(Environment):
+    """Batch of robots with a shelf each; the observation [R, 11] ends with the target's depth."""
+
+    _arrays = (*Environment._arrays, "_depth")
+    task: ShelfTask
+
+    def _allocate(self) -> None:
+        super()._allocate()
+        self._depth = np.zeros(self.robots, dtype=np.float32)
+
+    @property
+    def shelf_m(self) -> Array:
+        """Return y of the shelves' front edges and z of the lower boards' tops, m, [R, 2]."""
+        return np.column_stack((self._target[:, 0] + self._depth, self._target[:, 1] - self.task.board_below_m))
+
+    def reset(
+        self, starts: Starts | None = None, targets_m: Array | None = None, depths_m: Array | None = None
+    ) -> Array:
+        """Begin an episode for every robot; `depths_m` [R] are the targets' depths, drawn if missing."""
+        super().reset(starts, targets_m)
+        if depths_m is not None:
+            self._place(np.ones(self.robots, dtype=np.bool_), depths_m)
+        return self._observe()
+
+    def _begin(self, which: Mask, starts: Starts, targets_m: Array) -> None:
+        super()._begin(which, starts, targets_m)
+        self._place(which, self.task.sample_depths(self.rng, self.robots))
+
+    def _place(self, which: Mask, depths_m: Array) -> None:
+        """Place the shelves of some robots so that their targets have these depths."""
+        self._depth[which] = depths_m[which]
+        edge, board = self.shelf_m.T
+        self.simulator.place_shelf(edge, board, robots=which)
+
+    def _observe(self) -> Array:
+        return np.concatenate((super()._observe(), self._depth[:, None]), axis=1)
+
+
+def environment_of(
+    task: ReachTask,
+    robots: int,
+    seed: int,
+    model: Model | None = None,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+    randomisation: Randomisation | None = None,
+) -> Environment:
+    """Create the environment of any task; arguments as for `Environment`."""
+    kind: type = ShelfEnvironment if isinstance(task, ShelfTask) else Environment
+    made: Environment = kind(task, robots, seed, model, physics_rate_hz, randomisation)
+    return made

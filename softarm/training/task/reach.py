@@ -1,4 +1,4 @@
-"""Reach task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
+"""Reach and shelf task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
@@ -6,9 +6,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas import flights
 from softarm.schemas.config import RailLimits
-from softarm.schemas.flights import TRAINED_Z_MAX_M
-from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
+from softarm.schemas.policy import REACH_GOAL, SHELF_GOAL, Signal, TaskKind
 from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
 
 Array = NDArray[np.float32]
@@ -46,7 +46,7 @@ class ReachTask:
 
     name: str = "reach"
     target_y_m: Range = (-0.4, 0.0)
-    target_z_m: Range = (0.55, TRAINED_Z_MAX_M)
+    target_z_m: Range = (0.55, flights.TRAINED_Z_MAX_M)
     cart_start_m: Range = (-0.025, RAIL_LIMIT_M)  # [C]
     joint_start_deg: float = 10.0  # uniform within +- this [C]
     pressure_start_kpa: Range = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)
@@ -107,6 +107,25 @@ class ReachTask:
         """Return the scaled reward of arrays, or of tensors on a graphics card."""
         total = self.success_reward * now.success + self.rail_penalty * now.off_rail
         return self.reward_scale * (total + self.speed_reward * now.tip_speed_m_s)
+
+
+@dataclass(frozen=True)
+class ShelfTask(ReachTask):
+    """Targets in a shelf with a new place in each episode; defaults: the seed's training range ([P] section 4.2)."""
+
+    goal = SHELF_GOAL
+    kind = "shelf"
+
+    name: str = "shelf"
+    target_y_m: Range = flights.SHELF_Y_M
+    target_z_m: Range = flights.SHELF_Z_M
+    target_depth_m: Range = flights.SHELF_DEPTH_M  # behind the shelf's front edge; negative: before it
+    board_below_m: float = flights.BOARD_BELOW_M  # from the target down to the lower board's top [C]
+    action_noise: float = 0.01  # [C]
+
+    def sample_depths(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw depths in metres, float32 [count], uniform over the range."""
+        return rng.uniform(*self.target_depth_m, count).astype(np.float32)
 
 
 # reach-wide is for chained targets, as in the demo: each starts where the last one left the cart.

@@ -1,7 +1,7 @@
 """Tasks of other packages, by the entry-point group `softarm.tasks`.
 
 A task is a frozen dataclass derived from `softarm.training.task.reach.ReachTask` or
-`softarm.training.task.shelf.ShelfTask`, or an object of one. It may change `reward`, `sample_targets`, `sample_starts`
+`softarm.training.task.reach.ShelfTask`, or an object of one. It may change `reward`, `sample_targets`, `sample_starts`
 and the fields (ranges, radius, rewards, episode length). Fields are numbers, texts and tuples of numbers, because a
 policy's file records them.
 """
@@ -12,8 +12,7 @@ from typing import Any
 
 from softarm.common import plugins
 from softarm.common.plugins import PluginError
-from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.reach import ReachTask, ShelfTask
 
 GROUP = "softarm.tasks"
 INTERFACE = 1

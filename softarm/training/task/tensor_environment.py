@@ -23,11 +23,11 @@ from softarm.training.task.environment import (
     SEEN_THROUGH,
     SENT,
     Environment,
+    Randomisation,
     Step,
+    environment_of,
 )
-from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import Moment, Range, ReachTask, Starts
-from softarm.training.task.shelf import environment_of
 from softarm.training.task.tensor_guard import TensorGuard
 
 # Sets of parameters that robots take in turn when a randomisation draws for each episode.

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.robot import CONTROL_RATE_HZ
 from softarm.training.trajectory import problem
-from softarm.training.trajectory.problem import Array, interpolation
-from softarm.training.trajectory.rollout import Motion, Rollouts
+from softarm.training.trajectory.problem import Array, Motion, Rollouts, interpolation
 
 Mask = NDArray[np.bool_]
 

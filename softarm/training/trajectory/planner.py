@@ -1,19 +1,88 @@
-"""Planner from targets and starts to simulated plans: guess, optimise, verify, try again."""
+"""Planner from targets and starts to simulated plans: guess, optimise, verify, try again.
+
+Guesses are smooth random swings that pass near a target. A swing's timing has many local optima (swing once, twice, to
+the right first, ...), which no gradient crosses. A batch of random swings covers them; every step of every swing is a
+possible end of a plan.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from statistics import fmean
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.policies.plans import Plans
+from softarm.schemas.flights import in_range
 from softarm.schemas.model import Model
-from softarm.schemas.robot import PHYSICS_RATE_HZ
+from softarm.schemas.robot import CONTROL_RATE_HZ, PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory.guesses import library, nearest
+from softarm.training.trajectory import problem
 from softarm.training.trajectory.optimiser import Batch, Optimiser, Solution
-from softarm.training.trajectory.problem import RAIL_SPARE_M, STEPS_MAX, Array, interpolation
-from softarm.training.trajectory.rollout import Rollouts
+from softarm.training.trajectory.problem import RAIL_SPARE_M, STEPS_MAX, Array, Rollouts, interpolation
+
+STEPS_MIN = 12  # no target is reached sooner
+RAIL_WEIGHT = 2.0  # metres of distance from the target per metre beyond the rail's limit
+
+
+class Guesses(NamedTuple):
+    """Initial guesses, the best of each target first."""
+
+    knots: Array  # [tries, G, knots, 2]
+    steps: NDArray[np.int64]  # [tries, G]
+
+
+class Library(NamedTuple):
+    """Library of swings from one start."""
+
+    knots: Array  # [L, knots, 2]
+    tip_m: Array  # [steps + 1, L, 2]
+    beyond_m: Array  # [steps + 1, L]: farthest beyond the cart's limit so far
+
+
+def random_knots(count: int, rng: np.random.Generator) -> Array:
+    """Draw smooth commands, [count, knots, 2]: a swing of random frequency and phase, and a varying pressure."""
+    knots_each = interpolation(problem.STEPS_MAX).shape[1]
+    t = np.arange(knots_each) * problem.KNOT_STEPS / CONTROL_RATE_HZ
+    frequency, phase = rng.uniform(0.5, 2.2, (count, 1)), rng.uniform(0, 2 * np.pi, (count, 1))
+    size = rng.uniform(0.1, 1.2, (count, 1))
+    growth = 1.0 + rng.uniform(-0.5, 1.0, (count, 1)) * t / t[-1]
+    velocity = size * growth * np.sin(2 * np.pi * frequency * t + phase)
+    velocity += rng.normal(0.0, 0.25, (count, knots_each)) * rng.uniform(0, 1, (count, 1))
+    middle, swing = rng.uniform(0, 20, (count, 1)), rng.uniform(0, 15, (count, 1))
+    pressure = middle + swing * np.sin(2 * np.pi * frequency * t + rng.uniform(0, 2 * np.pi, (count, 1)))
+    late = t > rng.uniform(0.0, t[-1], (count, 1))
+    pressure = np.where(late, rng.uniform(0, 20, (count, 1)), pressure)
+    knots = np.stack((velocity, pressure), axis=2)
+    low = (-problem.VELOCITY_MAX_M_S, problem.PRESSURE_MIN_KPA)
+    high = (problem.VELOCITY_MAX_M_S, problem.PRESSURE_MAX_KPA)
+    clipped: Array = np.clip(knots, low, high).astype(np.float32)
+    return clipped
+
+
+def library(rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator) -> Library:
+    """Simulate random swings from a start."""
+    knots = random_knots(count, rng)
+    commands = np.tensordot(interpolation(problem.STEPS_MAX), knots, (1, 1))
+    motion = rollouts.fly(commands, np.full(count, cart_start_m, dtype=np.float32))
+    reserve = np.abs(problem.stopping_m(motion.state[:, :, 0], motion.state[:, :, 1]))
+    beyond = np.maximum.accumulate(np.maximum(reserve - problem.RAIL_MAX_M, 0.0), axis=0)
+    return Library(knots, motion.tip_m, beyond)
+
+
+def nearest(swings: Library, targets_m: Array, each: int) -> Guesses:
+    """Return the best swings with their best steps, `each` per target [G, 2]."""
+    knots, steps = [], []
+    for target in targets_m:
+        off = swings.tip_m - target
+        score = np.sqrt(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]) + RAIL_WEIGHT * swings.beyond_m
+        score[:STEPS_MIN] = np.inf
+        best = score.argmin(axis=0)
+        chosen = np.argsort(score[best, np.arange(len(best))])[:each]
+        knots.append(swings.knots[chosen])
+        steps.append(best[chosen])
+    return Guesses(np.stack(knots, axis=1), np.stack(steps, axis=1))
+
 
 LIBRARY = 4096  # random swings a start
 TRIES = 2  # guesses a plan; the next one only if the tip passes farther from the target than CLOSE_M
@@ -29,6 +98,28 @@ class Report(NamedTuple):
     planned: NDArray[np.bool_]  # [P], reached in the optimiser's own model: 240 Hz, no braking clamp, limits kept
     planned_miss_m: Array  # [P], there
     reached_s: Array  # [P], at 1200 Hz behind the clamp, within the extended horizon; NaN where it was not
+
+
+class Row(TypedDict):
+    """Result of one target from one start, with distances of the tip from the target."""
+
+    y: float
+    z: float
+    start: float
+    planned: bool  # reached in the plan with the cart within its limit
+    planned_miss_m: float
+    miss_m: float
+    reached: bool
+    time_s: float | None  # until it was reached
+
+
+class Part(NamedTuple):
+    """Summary of several rows; the first two numbers after the count are shares."""
+
+    rows: int
+    planned: float
+    reached: float
+    mean_time_s: float | None  # of reached targets, if any
 
 
 class _Flown(NamedTuple):
@@ -80,6 +171,45 @@ def plan(
     plans = Plans(target_m, start_m, found.steps, found.miss_m, found.command, found.tip_m, name)
     planned = (found.planned_miss_m < ReachTask().success_radius_m) & (found.beyond_m <= RAIL_SPARE_M)
     return Report(plans, planned, found.planned_miss_m, found.reached_s)
+
+
+def rows(report: Report) -> list[Row]:
+    """Return a row of plain numbers per plan, start by start."""
+    plans = report.plans
+    columns = (
+        plans.target_m,
+        plans.cart_start_m,
+        report.planned,
+        report.planned_miss_m,
+        plans.miss_m,
+        report.reached_s,
+    )
+    return [
+        Row(
+            y=round(float(target_m[0]), 6),
+            z=round(float(target_m[1]), 6),
+            start=round(float(start_m), 6),
+            planned=bool(planned),
+            planned_miss_m=float(planned_miss_m),
+            miss_m=float(miss_m),
+            reached=bool(np.isfinite(reached_s)),
+            time_s=float(reached_s) if np.isfinite(reached_s) else None,
+        )
+        for target_m, start_m, planned, planned_miss_m, miss_m, reached_s in zip(*columns, strict=True)
+    ]
+
+
+def by_height(found: Sequence[Row]) -> dict[str, Part]:
+    """Summarise rows by height of their targets, and all rows; empty parts are left out."""
+    low, above = ([row for row in found if in_range(row["z"]) == inside] for inside in (True, False))
+    parts = {"z <= 0.70 m": low, "z > 0.70 m": above, "all": found}
+    return {label: _part(part) for label, part in parts.items() if part}
+
+
+def _part(found: Sequence[Row]) -> Part:
+    times_s = [row["time_s"] for row in found if row["time_s"] is not None]
+    planned = fmean(row["planned"] for row in found)
+    return Part(len(found), planned, len(times_s) / len(found), fmean(times_s) if times_s else None)
 
 
 def _solve(rollouts: Rollouts, batch: Batch, knots: Array, on_advance: Callable[[float], None]) -> Solution:

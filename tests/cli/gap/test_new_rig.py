@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softarm.cli.gap import new_rig, rig_questions
+from softarm.cli.gap import new_rig
 from softarm.diagnosis.data import tables
 from tests.cli.invoke import invoke
 
@@ -57,8 +57,7 @@ def test_a_file_is_not_overwritten_silently(runs, tmp_path, monkeypatch):
     result = invoke("new", "rig", runs)
     assert result.exit_code == 1
     assert result.stderr == ("stage.yaml: exists and is not overwritten; choose another --out, or add --overwrite\n")
-    for module in (new_rig, rig_questions):
-        monkeypatch.setattr(module, "is_terminal", lambda: True)
+    monkeypatch.setattr(new_rig, "is_terminal", lambda: True)
     assert invoke("new", "rig", runs, input="n\n").exit_code == 1
     assert (tmp_path / "stage.yaml").read_text() == "mine"
     assert invoke("new", "rig", runs, input="y\n").exit_code == 0
@@ -90,8 +89,7 @@ def test_without_a_terminal_missing_facts_are_errors_with_their_options(bare, tm
 
 
 def test_at_a_terminal_missing_facts_are_asked_for_until_they_fit(bare, tmp_path, monkeypatch):
-    for module in (new_rig, rig_questions):
-        monkeypatch.setattr(module, "is_terminal", lambda: True)
+    monkeypatch.setattr(new_rig, "is_terminal", lambda: True)
     result = invoke("new", "rig", bare, input="\nfoot\ndeg\ndeg\n")
     assert result.exit_code == 0, result.output
     assert "Kind of mechanism (the headers do not show it)" in result.output

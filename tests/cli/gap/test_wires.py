@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from softarm.cli.gap import wire_flights as wires
+from softarm.cli.gap import close_gap as wires
 from softarm.daemon.limits.findings import RailFindings, compared
 from softarm.daemon.limits.measured import measure
 from softarm.evaluation.closing import story

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from softarm.cli.shared.printing import clock
+from softarm.cli.shared.console import clock
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Outputs, Problems
 from softarm.daemon.stop.listener import StopListener

@@ -2,7 +2,7 @@
 
 import json
 
-from softarm.cli.shared.printing import clock
+from softarm.cli.shared.console import clock
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.schemas.config import Config
@@ -56,9 +56,3 @@ def test_a_recording_shows_its_end_its_policies_and_its_events(softarm, tmp_path
     assert end.startswith(f"{recorder.path}: finished, ")
     assert policies == "policies: none"
     assert shown.endswith("  disarmed → armed")
-
-
-def test_the_events_of_a_log_are_found_below_logs(softarm):
-    result = softarm("events", "a.mcap")
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr == "Error: `softarm events LOG` is now `softarm logs show LOG`\n"

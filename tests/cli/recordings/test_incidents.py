@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from softarm.cli.shared.printing import clock
+from softarm.cli.shared.console import clock
 from softarm.daemon.logbook import incidents
 from softarm.schemas.rest import IncidentEntry, IncidentsAnswer
 

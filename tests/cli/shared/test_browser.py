@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from softarm.cli.shared.browser import open_page
+from softarm.cli.operate.run import open_page
 
 URL = "http://127.0.0.1:8080"
 

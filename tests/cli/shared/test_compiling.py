@@ -5,7 +5,7 @@ import sys
 
 PROGRAM = """
 import logging, sys
-from softarm.cli.shared.compiling import compilation_announced
+from softarm.cli.groups import compilation_announced
 if sys.argv[1] == "daemon":
     logging.basicConfig(format="by the daemon's log: %(message)s")
 with compilation_announced():
@@ -27,7 +27,7 @@ def test_compiling_is_announced_once():
 
 COMPILED = """
 import numba, time
-from softarm.cli.shared.compiling import compilation_announced
+from softarm.cli.groups import compilation_announced
 from softarm.common.processes import work_clock
 with compilation_announced():
     from softarm.simulator import compiled

@@ -19,7 +19,7 @@ def interrupt(*_):
 @pytest.mark.parametrize(
     ("line", "patched", "left"),
     [
-        ("goal run --wait", "operate.following", "the daemon continues with the goal; `softarm goal cancel` ends it"),
+        ("goal run --wait", "operate.goal", "the daemon continues with the goal; `softarm goal cancel` ends it"),
         ("arm", "operate.arming", "the daemon continues to arm; `softarm disarm` reverts that"),
         ("disarm", "operate.arming", "the daemon keeps running and disarms once the arm is still"),
         ("events --follow", "recordings.events", "the daemon keeps running"),
@@ -45,8 +45,8 @@ def test_ctrl_c_while_waiting_leaves_the_daemon_running(softarm, daemon, make_st
 @pytest.mark.parametrize(
     ("line", "patched", "left"),
     [
-        ("evaluate", "evaluation.evaluation.evaluate", "nothing was written"),
-        ("dev plan --ceiling", "training.trajectory.rows.of_searches", "nothing was written"),
+        ("evaluate", "evaluation.runner.evaluate", "nothing was written"),
+        ("dev plan", "training.trajectory.planner.plan", "nothing was written"),
         ("diagnose x.mcap", "diagnosis.from_files.diagnose_files", "nothing was written"),
         ("dev blind run cases --answers a.json", "diagnosis.blind.run.run", "the answers so far are kept in a.json"),
         ("train reach --out mine", "training.run.recipe.begin", "no checkpoint yet; mine may be deleted"),

@@ -142,7 +142,6 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("evaluate --matrix --runs . --model no-delay", "omit POLICY, --model and --all"),
         ("evaluate --model no-delay --test grid@no-delay", "names a model itself"),
         ("evaluate --only pid", "go with --all"),
-        ("evaluate --policy reach --policy pid", "name policies without it: softarm evaluate reach pid"),
         ("evaluate --target -0.3 0.6", "add --film FILE.gif"),
         ("evaluate --workers 2", "goes with a comparison"),
         ("excite", "no excitation named: `softarm excite --list` shows all"),

@@ -19,7 +19,7 @@ from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import verb_process
-from softarm.recordings import finishing, player
+from softarm.recordings import log_file, player
 from softarm.schemas.config import Config
 from tests.processes import WAIT_S, until
 
@@ -180,7 +180,7 @@ def test_a_deletion_is_recorded_with_its_source(loop, app, client_of, config, fo
 
 def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
     with (folder / "flight.mcap").open("rb") as file:
-        finishing.hold(file.fileno())
+        log_file.hold(file.fileno())
         assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 409
     assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 200
 

@@ -12,7 +12,7 @@ from softarm.daemon.doctor.models import Golden, Models
 from softarm.daemon.doctor.running import Running
 from softarm.daemon.limits.findings import MeasuredLimit
 from softarm.daemon.limits.measured import Bound
-from softarm.recordings.listing import listing
+from softarm.recordings.log_file import listing
 from softarm.schemas.config import Config, Control, Policy
 
 DATA = Path(__file__).parents[2] / "data"

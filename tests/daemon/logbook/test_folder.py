@@ -5,7 +5,7 @@ import os
 import pytest
 
 from softarm.daemon.logbook.folder import delete_oldest, finish_left
-from softarm.recordings import finishing
+from softarm.recordings import log_file
 from softarm.schemas.config import Recorder
 
 DAY_S = 86_400.0
@@ -53,7 +53,7 @@ def test_the_log_being_written_stays_at_any_size(directory):
 
 def test_the_log_of_another_daemon_stays_while_it_is_written(directory):
     with (directory / "softarm-20260101T000000Z.mcap").open("rb") as file:
-        finishing.hold(file.fileno())
+        log_file.hold(file.fileno())
         assert days(directory, keep_mb=2) == [1, 5]
 
 

@@ -16,7 +16,7 @@ from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter, TickFile
 from softarm.policies.base import PolicySpec
-from softarm.recordings.channels import EVENT
+from softarm.recordings.live import EVENT
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry

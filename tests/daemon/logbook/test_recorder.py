@@ -17,7 +17,7 @@ from softarm.daemon.logbook import folder, logs
 from softarm.daemon.logbook.recorder import Recorder, RecorderError
 from softarm.daemon.logbook.ticks import TickFile
 from softarm.policies.base import PolicySpec
-from softarm.recordings import finishing
+from softarm.recordings import log_file
 from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
@@ -295,7 +295,7 @@ def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
     with recording(config(tmp_path)) as writer:
         writer.tick(*make_tick(0))
         until(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
-        assert not finishing.recover(writer.path).finished
+        assert not log_file.recover(writer.path).finished
         writer.tick(*make_tick(1))
     assert len(list(logs.read(writer.path).ticks())) == 2
 
@@ -345,4 +345,4 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
     assert len(list(log.ticks())) >= written > 0
     assert len(counts) > queued / 10  # a flush every 50 ms, a tick every 33 ms
     assert not log.finished
-    assert finishing.recover(log.path).finished
+    assert log_file.recover(log.path).finished

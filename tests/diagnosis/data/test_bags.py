@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from softarm.cli.main import main
 from softarm.diagnosis.data import bags, tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS
 from softarm.recordings.live import LIBRARY
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

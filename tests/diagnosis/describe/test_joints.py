@@ -8,8 +8,7 @@ import yaml
 from click.testing import CliRunner
 
 from softarm.cli.main import main
-from softarm.reality.mechanisms.record import Truth, record
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS, Truth, record
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,7 @@ from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record
-from softarm.recordings.channels import MOCAP, PRESSURE, RAIL
-from softarm.recordings.live import LiveFile, LogMessage
+from softarm.recordings.live import MOCAP, PRESSURE, RAIL, LiveFile, LogMessage
 from softarm.schemas.events import Entry
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.goals import GoalStatus

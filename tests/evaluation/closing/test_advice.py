@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.evaluation.closing import story, summary
-from softarm.evaluation.closing.advice import advise
-from softarm.evaluation.closing.closed import Closed, Place
+from softarm.evaluation.closing import story
+from softarm.evaluation.closing.closed import Closed, Place, advise
 from softarm.evaluation.closing.outcomes import (
     ADAPTIVE,
     HELD_OUT,
@@ -77,7 +76,7 @@ def test_one_reason_against_keeps_the_old_policy(new, says):
     texts = story.sentences(found)
     assert texts[0] == "Keep the old policy."
     assert texts[1].startswith("Retrained: on ")
-    found = summary.summary(found)
+    found = story.summary(found)
     assert found["fly"] == OLD
     assert says in found["against"][NEW][0]
 
@@ -130,7 +129,7 @@ def test_missing_flights_on_wires_are_stated_and_do_not_count():
     found = closed({NEW: 105}, wires=still)
     assert advise(found).fly == NEW
     assert "No flight on the wires of the robot of softarm.yaml: not wanted." in story.sentences(found)
-    assert summary.summary(found)["wires"]["ended"] == "not wanted"
+    assert story.summary(found)["wires"]["ended"] == "not wanted"
     titles = dict(story.sections(found))
     assert "No flight" in titles["Flights on wires"]
     assert "<table" not in titles["Flights on wires"]
@@ -148,5 +147,5 @@ def test_the_table_has_a_row_per_way_with_its_time():
     page = dict(story.sections(found))["The ways to fly"]
     assert "always valid" in page
     assert page.count("<svg") == 4
-    ways = summary.summary(found)["ways"]
+    ways = story.summary(found)["ways"]
     assert sum(ways[NEW][manner]["reached"] for manner in MANNERS) == 105

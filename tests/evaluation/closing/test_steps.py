@@ -19,8 +19,7 @@ from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.verdict import Verdict, Where
 from softarm.simulator import model_file
-from softarm.training.run.retrain import RetrainingConfig
-from softarm.training.run.warm_start import load_weights
+from softarm.training.run.retrain import RetrainingConfig, load_weights
 from tests.evaluation.closing import cases
 
 pytestmark = pytest.mark.slow

@@ -6,9 +6,9 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
-from softarm.evaluation.soak import both, lockstep, page, realtime
-from softarm.evaluation.soak.script import Unexpected
-from softarm.evaluation.soak.slopes import Slope
+from softarm.evaluation.soak import lockstep, page, realtime
+from softarm.evaluation.soak.clients import Unexpected
+from softarm.evaluation.soak.growth import Slope
 from softarm.policies.hold import Hold
 from softarm.policies.pid import Pid
 
@@ -36,10 +36,12 @@ def test_a_minute_in_lockstep_flies_goals_without_a_stop(minute):
 
 @pytest.mark.prove
 def test_after_the_real_time_the_share_of_lockstep_is_shown(tmp_path, monkeypatch):
-    monkeypatch.setattr(both.realtime, "soak", lambda *_: None)
-    monkeypatch.setattr(both, "POLL_S", 0.01)
+    monkeypatch.setattr(lockstep.realtime, "soak", lambda *_: None)
+    monkeypatch.setattr(lockstep, "POLL_S", 0.01)
     seen = []
-    _, stepped = both.soak(1.0, MINUTE / 4, 0, "pid", tmp_path, lambda doing, share: seen.append((doing, share)))
+    _, stepped = lockstep.soak_both(
+        1.0, MINUTE / 4, 0, "pid", tmp_path, lambda doing, share: seen.append((doing, share))
+    )
     assert stepped.counts
     assert {doing for doing, _ in seen} == {"in lockstep"}
     assert 0 < max(share for _, share in seen) <= 1

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, draw_and_write, scales_of
-from softarm.reality.mechanisms.record import Truth, record
-from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
+from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record
 
 
 def columns(robot, laws=None, seconds=3.0, kind="multisine"):

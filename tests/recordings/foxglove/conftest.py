@@ -6,7 +6,7 @@ from collections import defaultdict
 import pytest
 from mcap.reader import make_reader
 
-from softarm.recordings.foxglove import export
+from softarm.recordings.foxglove import converter
 
 
 class Converted:
@@ -31,5 +31,5 @@ class Converted:
 @pytest.fixture(scope="session")
 def converted(log, tmp_path_factory):
     target = tmp_path_factory.mktemp("foxglove") / "flight-foxglove.mcap"
-    export.export(log, target, log.entries())
+    converter.export(log, target, log.entries())
     return Converted(target)

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from softarm.diagnosis.data import mcap
-from softarm.recordings.foxglove import converter, export
+from softarm.recordings.foxglove import converter
 from softarm.schemas.log import Metadata
 
 OWN = {"/event", "/mocap", "/pressure", "/rail", "/request", "/tick"}
@@ -135,7 +135,7 @@ def test_the_plotted_numbers_are_the_ticks(converted, log):
 
 
 def test_the_layout_refers_to_existing_channels():
-    layout = json.loads(export.layout())
+    layout = json.loads(converter.layout())
     topics = {channel.topic for channel in converter.channels()}
     (state,) = (json.loads(channel.json_schema) for channel in converter.channels() if channel.topic == "/state")
     kinds = set()

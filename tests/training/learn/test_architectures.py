@@ -11,11 +11,10 @@ from softarm.schemas.policy import OBSERVATION
 from softarm.training.learn.inference import infer
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
-from softarm.training.record.settings import TrainingConfig
+from softarm.training.record.checkpoint import TrainingConfig
 from softarm.training.run.session import Session
-from softarm.training.task.environment import Environment
-from softarm.training.task.reach import TASKS
-from softarm.training.task.shelf import ShelfTask, environment_of
+from softarm.training.task.environment import Environment, environment_of
+from softarm.training.task.reach import TASKS, ShelfTask
 
 ORDERS = ("mlp-lstm", "lstm-mlp", "mlp")
 SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)

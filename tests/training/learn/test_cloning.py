@@ -4,9 +4,9 @@ import numpy as np
 import torch
 
 from softarm.policies.base import HIGH, LOW
-from softarm.training.learn.cloning import Cloner, CloningConfig, Demonstration, padded, squared_errors
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.run.clone import Cloner, CloningConfig, Demonstration, padded, squared_errors
 
 SMALL = NetworkShape(mlp=(16,), state=8)
 

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from softarm.training.learn.inference import workers
-from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.learn.normaliser import RunningNormaliser
+from softarm.training.learn.network import NetworkShape, PolicyNetwork, RunningNormaliser
 from softarm.training.learn.ppo import (
     Ppo,
     PpoConfig,

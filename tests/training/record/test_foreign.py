@@ -11,7 +11,7 @@ from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import ACTION
 from softarm.training.record import foreign
 from softarm.training.record.foreign import ForeignNetworkError
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.reach import ShelfTask
 
 MEAN = np.array([0.1, 0, -0.2, 0.6, 0, 0, 0, 5.0, -0.2, 0.6], np.float32)
 SCALE = np.array([0.1, 0.3, 0.2, 0.1, 1, 1, 0.3, 8.0, 0.1, 0.05], np.float32)

@@ -16,12 +16,11 @@ from softarm.schemas.model import Model
 from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import path_figure, tensorboard
-from softarm.training.record.settings import TrainingConfig
-from softarm.training.run import recipe, report, warm_start
+from softarm.training.record import curve
+from softarm.training.record.checkpoint import TrainingConfig
+from softarm.training.run import recipe, report, retrain
 from softarm.training.run.session import Session
-from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.reach import ReachTask, ShelfTask
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +37,7 @@ def session(out, pool, task=None):
 @cache
 def flown():
     """The 54 targets by the shipped policy: most reached, some missed."""
-    prior = warm_start.load_weights(SHIPPED)
+    prior = retrain.load_weights(SHIPPED)
     with workers(1) as pool:
         trials = validation.grid_scenarios(Model().arm.links)
         outcome = validation.fly(prior.network, prior.task, trials, pool, physics_rate_hz=240.0)
@@ -54,7 +53,7 @@ def flown_at_shelf(run, pool):
 
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_training_without_tensorboard_continues_with_one_message(tmp_path, monkeypatch):
-    monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
+    monkeypatch.setattr(curve, "find_spec", lambda name: None)
     monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
     monkeypatch.setitem(recipe.RECIPES, "reach", recipe.Recipe(frames=FRAMES))
     arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
@@ -108,13 +107,13 @@ def test_paths_of_successes_end_at_the_target():
 
 def test_the_picture_shows_every_trial_of_the_54_targets():
     tested = flown()
-    figure = path_figure.draw(tested, ReachTask(), "reach, seed 1")
+    figure = report.draw(tested, ReachTask(), "reach, seed 1")
     assert len(figure.axes) == 54
     drawn = {line.get_gid(): line for axes in figure.axes for line in axes.get_lines() if line.get_gid()}
     assert drawn.keys() == {f"trial-{k}" for k in range(162)}
     for k, reached in enumerate(tested.flown.reached):
         line = drawn[f"trial-{k}"]
-        assert line.get_color() == (path_figure.REACHED if reached else path_figure.MISSED)
+        assert line.get_color() == (report.REACHED if reached else report.MISSED)
         away = np.linalg.norm(line.get_xydata()[-1] - tested.scenarios.target_m[k])
         assert (away < RADIUS_M) == reached
     # Panels lie as the targets do, whatever order those have.
@@ -153,7 +152,7 @@ def test_the_shelf_is_drawn_with_its_boards(tmp_path, pool):
     text = report.write(run, tested).read_text()
     assert "shelf, seed 3" in text
     assert text.count("data:image/png;base64,") == 2
-    figure = path_figure.draw(tested, run.task, run.title)
+    figure = report.draw(tested, run.task, run.title)
     assert len(figure.axes) == 4
     assert sum(len([line for line in axes.get_lines() if line.get_gid()]) for axes in figure.axes) == 12
     for axes, target, depth in zip(

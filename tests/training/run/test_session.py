@@ -10,7 +10,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from curve.backend.event_processing.event_accumulator import EventAccumulator
 
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import METADATA_KEY
@@ -18,10 +18,9 @@ from softarm.training.learn import validation
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import checkpoint, tensorboard
-from softarm.training.record.checkpoint import CheckpointError
+from softarm.training.record import checkpoint
+from softarm.training.record.checkpoint import CheckpointError, TrainingConfig
 from softarm.training.record.export import export_checkpoint, onnx_model
-from softarm.training.record.settings import TrainingConfig
 from softarm.training.run import recipe
 from softarm.training.run.session import Session, averaged_share
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
@@ -70,7 +69,7 @@ def points(folder):
 def stored(curve):
     """Return the learning curve as TensorBoard stores it, in float32."""
     by_tag = {}
-    for tag, column in tensorboard.SCALARS.items():
+    for tag, column in curve.SCALARS.items():
         values = [(row.frames, getattr(row, column)) for row in curve]
         by_tag[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
     return {tag: values for tag, values in by_tag.items() if values}

@@ -11,10 +11,8 @@ from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.training.learn import validation
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.run.recipe import ROBUST
-from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
-from softarm.training.task.randomisation import Randomisation
-from softarm.training.task.reach import TASKS
-from softarm.training.task.shelf import ShelfTask, environment_of
+from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Randomisation, Step, environment_of
+from softarm.training.task.reach import TASKS, ShelfTask
 from tests.cli.invoke import invoke
 
 REACH = TASKS["reach"]

@@ -8,9 +8,8 @@ import pytest
 from softarm.simulator.effects import EffectError
 from softarm.training.learn.validation import at_rest
 from softarm.training.run.recipe import RECIPES, prepare
-from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.environment import Randomisation, environment_of
 from softarm.training.task.reach import TASKS
-from softarm.training.task.shelf import environment_of
 
 REACH = TASKS["reach"]
 PAYLOAD = {"arm.payload.mass": (0.01, 0.05)}

@@ -11,7 +11,7 @@ pytest.importorskip("torch")
 from softarm.common.plugins import PluginError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.training.record.checkpoint import CheckpointError, load, task_of
-from softarm.training.run import recipe, warm_start
+from softarm.training.run import recipe, retrain
 from softarm.training.task import registry
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import ReachTask
@@ -112,7 +112,7 @@ def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path, pool
     assert policy.metadata.name == "near"
     assert policy.metadata.training["task.weight"] == 2.0
     assert "task's own ranges" in policy.metadata.training["run.validation_set"]
-    assert warm_start.load_weights(out / "near.onnx").task == registry.load("near")
+    assert retrain.load_weights(out / "near.onnx").task == registry.load("near")
     saved["task"]["plugin"] = "gone"
     with pytest.raises(CheckpointError, match=r"no task 'gone'.*: install the package that it was trained with"):
         task_of(saved)

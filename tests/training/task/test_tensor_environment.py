@@ -8,10 +8,8 @@ import torch
 
 from softarm.schemas.config import RailLimits
 from softarm.schemas.model import Model
-from softarm.training.task.environment import Environment
-from softarm.training.task.randomisation import Randomisation
-from softarm.training.task.reach import TASKS, ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.environment import Environment, Randomisation
+from softarm.training.task.reach import TASKS, ReachTask, ShelfTask
 from softarm.training.task.tensor_environment import TensorEnvironment, array_of
 from softarm.training.task.tensor_guard import TensorGuard
 

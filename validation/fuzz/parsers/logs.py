@@ -32,10 +32,10 @@ def example() -> bytes:
 @cache
 def examples() -> list[bytes]:
     """Return the unfinished flight and the finished one, with chunks and an index."""
-    from softarm.recordings import finishing
+    from softarm.recordings import log_file
 
     path = written("example.mcap", example())
-    finishing.finish(path)
+    log_file.finish(path)
     return [example(), path.read_bytes()]
 
 
@@ -45,7 +45,7 @@ def _draw(random: Random) -> bytes:
 
 @parser("log.listing")
 def _listed() -> Parser:
-    from softarm.recordings.listing import listing
+    from softarm.recordings.log_file import listing
 
     def take(data: bytes) -> None:
         path = written("logs.d.mcap", data)
@@ -57,11 +57,11 @@ def _listed() -> Parser:
 @parser("log.recover")
 def _recovered() -> Parser:
     """Return the parser of `softarm logs recover`: the file is complete afterwards, or rejected with a message."""
-    from softarm.recordings import finishing, mcap_file
+    from softarm.recordings import log_file, mcap_file
 
     def take(data: bytes) -> None:
         path = written("cut.mcap", data)
-        before = finishing.recover(path)
+        before = log_file.recover(path)
         if before.finished:
             assert len(list(mcap_file.messages(path))) == before.records
 

@@ -52,7 +52,7 @@ def _onnx() -> Parser:
 def _weights() -> Parser:
     """Return the parser of a model whose training continues."""
     from softarm.training.record.checkpoint import CheckpointError
-    from softarm.training.run.warm_start import load_weights
+    from softarm.training.run.retrain import load_weights
 
     model = _model()
     return Parser(

@@ -25,8 +25,8 @@ from softarm.daemon.logbook import incidents
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.jobs import JobError
 from softarm.daemon.runtime.verb_process import VerbProcess
-from softarm.recordings import finishing
-from softarm.recordings.listing import listing
+from softarm.recordings import log_file
+from softarm.recordings.log_file import listing
 from softarm.schemas.config import Config
 from softarm.schemas.rest import IncidentsAnswer, LogDeleted, LogsAnswer, ReportEntry, ReportsAnswer
 
@@ -220,7 +220,7 @@ def _delete(path: Path) -> None:
     """Delete a log, or raise Refused."""
     file, _ = _opened(path)
     with file:
-        if finishing.is_held(path):
+        if log_file.is_held(path):
             raise Refused(409, f"{path.name} is being recorded: delete it when it is finished")
         try:
             path.unlink()

@@ -11,8 +11,7 @@ from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import Truth, record, write
-from softarm.reality.mechanisms.robots import ROBOTS, JointLaw
+from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record, write
 from tests.diagnosis.rigs.recordings import SERVO, shipped
 
 KINDS = ("multisine", "holds", "multisine")

@@ -7,7 +7,7 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Mechanism
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS
 
 LOOP = """
 <mujoco>

@@ -9,8 +9,7 @@ from softarm.diagnosis.rigs.diagnose import view_of
 from softarm.diagnosis.rigs.mjcf.checks import mistakes
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import Truth, record, write
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
 
 
 @pytest.fixture(scope="module")

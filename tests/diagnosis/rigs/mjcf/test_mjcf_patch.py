@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from softarm.diagnosis.rigs.mjcf import patch
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.verdicts import with_parameters as verdict
 
 ARM = ROBOTS["arm"].model

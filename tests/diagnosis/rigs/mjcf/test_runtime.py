@@ -7,7 +7,7 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
-from softarm.reality.mechanisms.robots import ROBOTS
+from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, travelled
 from tests.diagnosis.verdicts import effect, verdict
 

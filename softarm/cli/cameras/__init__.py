@@ -1,1 +1,0 @@
-"""`softarm bridge`: feed motion capture to the daemon and calibrate it."""

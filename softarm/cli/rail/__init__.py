@@ -1,1 +1,0 @@
-"""`softarm rail`: home the axis and find the middle of the rail."""

@@ -1,0 +1,210 @@
+"""`softarm logs`: recordings are played, exported, repaired and replayed."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.logbook.ticks import TickFile
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.diagnosis.data.read import read_all
+from softarm.policies import registry
+from softarm.recordings import log_file, mcap_file
+from softarm.recordings.live import RAIL
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import RailReading
+from tests.cli.invoke import invoke
+from tests.recordings.conftest import write
+
+FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
+
+
+@pytest.fixture
+def browser(monkeypatch):
+    """Return the list of addresses that a browser has to open."""
+    asked = []
+    monkeypatch.setattr("webbrowser.open", lambda url: asked.append(url) or True)
+    return asked
+
+
+def view(*arguments):
+    return invoke("logs", "view", *arguments)
+
+
+def test_a_page_is_written_and_opened(browser, tmp_path):
+    result = view("--out", tmp_path / "swing.html", FLIGHT)
+    assert (result.exit_code, result.stdout) == (0, f"wrote {tmp_path}/swing.html\n")
+    assert browser == [(tmp_path / "swing.html").as_uri()]
+    assert (tmp_path / "swing.html").read_text().startswith("<!doctype html>")
+
+
+def test_without_opening_the_page_is_written_to_this_folder(browser, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert view("--no-open", FLIGHT).stdout == "wrote flight.html\n"
+    assert (tmp_path / "flight.html").stat().st_size < 200_000  # chart library included
+    assert browser == []
+
+
+def test_a_missing_browser_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr("webbrowser.open", lambda url: False)
+    result = view("--out", tmp_path / "a.html", FLIGHT)
+    assert result.exit_code == 0
+    assert f"no browser here: open {tmp_path}/a.html in one" in result.stderr
+
+
+def test_view_writes_the_layout(tmp_path):
+    assert view("--layout", tmp_path / "layout.json").stdout == f"wrote {tmp_path}/layout.json\n"
+    assert "3D!softarm" in json.loads((tmp_path / "layout.json").read_text())["configById"]
+
+
+def export(*arguments):
+    return invoke("logs", "export", *arguments)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_log_is_exported_as_a_trial_folder(form, tmp_path):
+    result = export("--to", form, "--out", tmp_path / "out", FLIGHT)
+    assert (result.exit_code, result.stdout) == (0, f"wrote {tmp_path}/out/flight: 313 ticks over 10.4 s\n")
+    names = ("command", "events", "mocap", "observation", "pressure", "rail", "ticks")
+    assert {file.name for file in (tmp_path / "out" / "flight").iterdir()} == {
+        *(f"{name}.{form}" for name in names),
+        "about.json",
+        "trial.yaml",
+    }
+    (trial,) = read_all([tmp_path / "out"])
+    (log,) = read_all([FLIGHT])
+    assert (trial.name, trial.kind, trial.rail) == (log.name, log.kind, log.rail)
+    assert trial.channels.keys() == log.channels.keys()
+    for name, series in trial.channels.items():
+        np.testing.assert_array_equal(series.t_s, log.channels[name].t_s)
+        np.testing.assert_equal(dict(series.columns), dict(log.channels[name].columns))
+
+
+def test_logs_become_one_dataset_for_lerobot(tmp_path):
+    result = export("--to", "lerobot", "--out", tmp_path / "out", FLIGHT, FLIGHT)
+    assert result.stdout == f"wrote {tmp_path}/out: 12 episodes (4 reached), 324 frames\n"
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"data", "meta"}
+
+
+def test_an_export_for_foxglove_includes_its_layout(tmp_path):
+    result = export("--to", "foxglove", "--out", tmp_path / "out", FLIGHT)
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"wrote {tmp_path}/out/flight-foxglove.mcap (0.4 MB, the log has 0.2) and ")
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"flight-foxglove.mcap", "softarm-layout.json"}
+
+
+def test_an_unusable_place_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    result = export("--to", "csv", "--out", tmp_path / "file" / "below", FLIGHT)
+    assert result.exit_code == 1
+    assert "cannot be written (Not a directory); choose another --out" in result.stderr
+
+
+@pytest.fixture
+def cut_off(tmp_path):
+    """Return a log as a killed daemon leaves it: no index, the last record incomplete."""
+    path = tmp_path / "logs" / "softarm-20260101T000000Z.mcap"
+    path.parent.mkdir()
+    write(path, ((n, RAIL.encode(RailReading(n, n / 7, 0.0, True))) for n in range(100)))
+    path.write_bytes(path.read_bytes()[:-5])
+    return path
+
+
+def recover(*paths):
+    return invoke("logs", "recover", *paths)
+
+
+def test_a_truncated_log_is_repaired_once(cut_off):
+    result = recover(cut_off)
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"{cut_off}: repaired; 99 complete records over 0.00 s (0.0 MB, now ")
+    assert mcap_file.is_finished(cut_off)
+    assert len(list(mcap_file.messages(cut_off))) == 99
+    assert recover(cut_off).stdout == f"{cut_off}: is finished, nothing to repair\n"
+
+
+def test_every_log_of_a_folder_is_repaired_and_a_failure_exits_with_1(cut_off):
+    rubbish, empty = cut_off.with_name("a.mcap"), cut_off.with_name("b.mcap")
+    rubbish.write_bytes(b"no log at all, but long enough")
+    empty.touch()
+    result = recover(cut_off.parent)
+    assert result.exit_code == 1
+    assert f"{cut_off}: repaired" in result.stdout
+    assert result.stderr.splitlines() == [
+        f"{rubbish}: not a log; a log is an MCAP file, as the recorder writes it",
+        f"{empty}: has no complete record and was not changed; delete it",
+    ]
+    assert rubbish.read_bytes().startswith(b"no log")
+
+
+def test_a_log_in_use_is_not_changed(cut_off):
+    before = cut_off.read_bytes()
+    with cut_off.open("rb") as writer:
+        log_file.hold(writer.fileno())
+        result = recover(cut_off)
+    assert (result.exit_code, cut_off.read_bytes()) == (0, before)
+    assert result.stdout == f"{cut_off}: is being written by a running daemon, left alone\n"
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return a log with half a minute at rest and a flight."""
+    config = Config(recorder={"directory": tmp_path, "around_s": 1.0})
+    policy = registry.load("reach")
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon = Lockstep(config, policy, record=recorder.tick)
+    for _ in range(900):
+        daemon.tick()
+    daemon.arm()
+    daemon.tick(daemon.request("goal", Goal("reach", -0.2, 0.6)))
+    for _ in range(20):
+        daemon.tick()
+    recorder.stop()
+    return recorder.path
+
+
+def replay(path):
+    return invoke("logs", "replay", path)
+
+
+def copy(log, path, keep):
+    """Copy a log with only the ticks that `keep` accepts."""
+    whole = logs.read(log)
+    with path.open("wb") as file:
+        live = TickFile(file)
+        live.head(whole.config, None, 0, 0)
+        for tick in whole:
+            if keep(tick[1]):
+                live.write(tick)
+        live.flush()
+    return path
+
+
+def test_idle_ticks_are_counted_and_the_flight_is_compared(log):
+    result = replay(log)
+    assert result.exit_code == 0, result.output
+    _, missing, unsure, verdict = result.stdout.splitlines()
+    ticks, seconds = map(int, re.match(r"not in this log: (\d+) ticks \((\d+) s\)", missing).groups())
+    assert ticks > 750
+    assert seconds > 25
+    assert unsure.startswith("replayed but not compared: ")
+    compared = int(verdict.removesuffix(" ticks, every command the same"))
+    assert compared + int(unsure.split()[4]) + ticks == list(logs.read(log).ticks())[-1][1].tick
+
+
+def test_a_log_that_starts_within_a_run_is_reported(log, tmp_path):
+    result = replay(copy(log, tmp_path / "later.mcap", lambda outputs: outputs.tick > 905))
+    assert result.exit_code == 0, result.output
+    assert "the log begins at tick 906 of its run: an earlier file holds the ticks before" in result.stdout
+
+
+def test_ticks_lost_in_flight_are_reported(log, tmp_path):
+    flown = [o.tick for _, o in logs.read(log).ticks() if o.sent.cart_velocity_m_s]
+    result = replay(copy(log, tmp_path / "torn.mcap", lambda outputs: outputs.tick != flown[5]))
+    assert f"tick {flown[6]}: 1 ticks before it are missing, and the drive was on" in result.stdout
