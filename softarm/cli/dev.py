@@ -4,18 +4,135 @@ import shlex
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.gap.blind import blind
 from softarm.cli.groups import Verbs
-from softarm.cli.learn.plan import plan
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.console import FILE, FOLDER, check_places, json_option, waiting, write, write_json
+from softarm.cli.shared.console import (
+    FILE,
+    FOLDER,
+    check_places,
+    json_option,
+    load_model,
+    model_option,
+    print_table,
+    print_text,
+    waiting,
+    write,
+    write_json,
+)
 from softarm.cli.shared.errors import NOTHING, fail, leaves
+from softarm.common.batch import Workers, workers_options
+from softarm.common.processes import bar
+from softarm.schemas.flights import CART_STARTS_M
+
+if TYPE_CHECKING:
+    from softarm.schemas.model import Model
+    from softarm.training.trajectory.planner import Row
+    from softarm.training.trajectory.problem import Array
+
+labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")
+OUT = Path("runs/trajectories.npz")
+LISTED = 12  # so many plans are shown one by one
 
 
-@click.command(short_help="Write a checkpoint as an ONNX policy.")
+@click.group(cls=Verbs)
+def dev() -> None:
+    """Measure the diagnosis and the daemon, and write policy files: tools of softarm's makers.
+
+    \b
+    Examples:
+      softarm dev soak --hours 1
+      softarm dev export runs/reach-1/best.pt --out my-reach.onnx
+    """
+
+
+@dev.group()
+def blind() -> None:
+    """Measure the diagnosis on robots with sealed faults.
+
+    \b
+    Examples:
+      softarm dev blind make cases --labels sealed/labels.json --fresh sealed/fresh
+      softarm dev blind run cases --answers answers.json
+      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
+    """
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option("--fresh", type=FOLDER, help="Folder for three more trials of each case, used by the score only.")
+@click.option("--cases", "count", default=100, show_default=True, type=click.IntRange(1, 10000), help="Number to draw.")
+@click.option("--seed", type=click.IntRange(0), help="Seed of the draw; random and secret by default.")
+@workers_options()
+def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, workers: Workers) -> None:
+    """Draw cases, seal their labels, and fly the cases into DATA. The same command resumes an interrupted run.
+
+    The labels contain the seed and the salt, which reveal every fault: keep this file outside DATA.
+
+    \b
+    Example:
+      softarm dev blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
+    """
+    from softarm.diagnosis.blind import make as making
+
+    leaves(f"the finished cases are kept in {data}; the same command continues")
+    cases = making.prepare(data, labels_file, fresh, count, seed)
+    making.write_cases(cases, data, fresh, workers)
+    click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
+    click.echo(f"next: softarm dev blind run {data} --answers answers.json")
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@click.option("--answers", "answers_file", type=FILE, required=True, help="File for the answers; frozen at the end.")
+@click.option("--method", default="diagnose", show_default=True, help="Method that answers: diagnose, or a baseline.")
+@workers_options()
+def run(data: Path, answers_file: Path, method: str, workers: Workers) -> None:
+    """Answer every case of DATA and freeze the answers (FILE.sha256). The same command resumes an interrupted run.
+
+    An answer is kept as long as the tool's code and the case's files are unchanged.
+
+    \b
+    Examples:
+      softarm dev blind run cases --answers answers.json
+      softarm dev blind run cases --answers bic.json --method bic
+    """
+    from softarm.diagnosis.blind import run as running
+
+    leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
+    digest = running.run(data, answers_file, method, workers)
+    click.echo(f"wrote {answers_file}; frozen as {digest}")
+
+
+@blind.command("open")
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option(
+    "--answers", "answer_files", type=FILE, multiple=True, required=True, help="Frozen answers; one file per method."
+)
+@click.option("--fresh", type=FOLDER, help="Folder of the fresh trials; without it the shrink is not checked.")
+@click.option("--out", type=FOLDER, required=True, help="Folder for score.json, score.md and the pictures.")
+def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, out: Path) -> None:
+    """Score frozen answers against the labels; refuse files that changed after sealing.
+
+    \b
+    Example:
+      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
+        --answers answers.json --answers bic.json --out score
+    """
+    from softarm.diagnosis.blind import opening
+
+    leaves("no score was written; the same command starts again")
+    with bar("opening", total=None) as shown:
+        opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
+    click.echo((out / "score.md").read_text(encoding="utf-8"))
+
+
+@dev.command(short_help="Write a checkpoint as an ONNX policy.")
 @click.argument("checkpoint", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The ONNX file to write.")
 def export(checkpoint: Path, out: Path) -> None:
@@ -33,7 +150,106 @@ def export(checkpoint: Path, out: Path) -> None:
     click.echo(f"wrote {out}")
 
 
-@click.command(short_help="Fly for hours and report growth and events.")
+@dev.command(short_help="Optimise trajectories for the policy that tracks them.")
+@click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
+@click.option(
+    "--start",
+    "starts",
+    type=click.FloatRange(-0.2, 0.2),
+    multiple=True,
+    default=CART_STARTS_M,
+    show_default=True,
+    metavar="M",
+    help="Start of the cart; repeatable.",
+)
+@model_option
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first guesses.")
+@click.option("--out", type=FILE, default=OUT, show_default=True, help="The file of plans to write.")
+@click.option("--needs", is_flag=True, help="Only search what would bring the missed targets into reach.")
+@json_option
+def plan(
+    targets: tuple[tuple[float, float], ...],
+    starts: tuple[float, ...],
+    model_file: Path | None,
+    seed: int,
+    out: Path,
+    needs: bool,
+    json_file: Path | None,
+) -> None:
+    """Optimise commands that swing the tip onto targets (the paper's upper bound) and write them to a file.
+
+    Every plan starts with the arm straight and at rest. It is simulated at 1200 Hz with the daemon's braking limit
+    before it is written. The policy `trajectory` tracks it.
+
+    \b
+    Examples:
+      softarm dev plan
+      softarm dev plan --target -0.2 0.7 --start 0
+      softarm dev plan --needs
+    """
+    import time
+
+    import numpy as np
+
+    from softarm.common.processes import bar
+    from softarm.schemas.flights import TEST_TARGETS
+    from softarm.training.trajectory import planner
+
+    leaves(NOTHING)
+    model = load_model(model_file) if model_file else None
+    aims = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
+    if needs:
+        _show_needs(aims, model, seed, json_file)
+        return
+    wall, cpu = time.perf_counter(), time.process_time()
+    with bar("planning") as shown:
+        name = model_file.stem if model_file else "seed"
+        report = planner.plan(aims, starts, model, name, seed, shown.advance)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    report.plans.save(out)
+    found = planner.rows(report)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    show(found)
+    print_text(f"{len(found)} planned and flown in {wall:.1f} s ({cpu:.1f} s of processor time)")
+    write_json(json_file, {"wall_s": wall, "cpu_s": cpu, "rows": found})
+    print_text(f"wrote {out}. Next: fly the plans with the real control loop:")
+    click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
+    click.echo("  softarm evaluate mine --config mine.yaml")
+
+
+def show(found: "list[Row]") -> None:
+    """Print a row per plan, or per height if there are many, and the targets that were missed."""
+    from softarm.training.trajectory import planner
+
+    lines = []
+    if len(found) <= LISTED:
+        for row in found:
+            start, place, miss = f"{row['start']:.2f}", f"{row['y']:.2f}, {row['z']:.2f}", f"{row['miss_m'] * 1e3:.1f}"
+            planned = f"{row['planned_miss_m'] * 1e3:.1f}"
+            lines.append((start, place, planned, miss, "not" if row["time_s"] is None else f"{row['time_s']:.2f}"))
+        columns = ("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
+        print_table(columns, lines)
+        return
+    for label, part in planner.by_height(found).items():
+        after = "-" if part.mean_time_s is None else f"{part.mean_time_s:.2f} on average"
+        lines.append((label, str(part.rows), f"{100 * part.planned:.1f} %", f"{100 * part.reached:.1f} %", after))
+    print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), lines)
+    if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
+        print_text("missed from at least one start: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))
+
+
+def _show_needs(targets_m: "Array", model: "Model | None", seed: int, json_file: Path | None) -> None:
+    """Print and write the smallest change of each quantity that reaches each missed target."""
+    from softarm.common.processes import bar
+    from softarm.training.trajectory import ceiling
+
+    with bar("searching", None) as shown:
+        found = ceiling.figures(ceiling.of_missed(targets_m, model, seed, lambda doing: shown.advance(text=doing)))
+    print_table(*ceiling.lines(found))
+    write_json(json_file, found)
+
+
+@dev.command(short_help="Fly for hours and report growth and events.")
 @click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0), help="Real time; 0 for none.")
 @click.option("--lockstep-days", default=0.0, show_default=True, type=click.FloatRange(0), help="Simulated time.")
 @click.option("--seed", default=0, show_default=True, help="Seed of goals, faults and misbehaving clients.")
@@ -86,18 +302,3 @@ def soak(
     if problems:
         fail("\n".join(problems))
     click.echo("no growth found and no unexpected event")
-
-
-@click.group(cls=Verbs)
-def dev() -> None:
-    """Measure the diagnosis and the daemon, and write policy files: tools of softarm's makers.
-
-    \b
-    Examples:
-      softarm dev soak --hours 1
-      softarm dev export runs/reach-1/best.pt --out my-reach.onnx
-    """
-
-
-for verb in (blind, export, plan, soak):
-    dev.add_command(verb)

@@ -29,7 +29,7 @@ VERBS: dict[str, dict[str, Verb]] = {
     },
     "Look at recordings": {
         "logs": Verb("recordings.logs:logs", "List, show, play, replay, export and repair recordings."),
-        "incidents": Verb("recordings.incidents:incidents", "List or fetch incident files of stops."),
+        "incidents": Verb("recordings.events:incidents", "List or fetch incident files of stops."),
     },
     "Identify": {
         "excite": Verb("gap.excite:excite", "Play an excitation, on the robot or simulated, and record.", "sim"),

@@ -34,7 +34,6 @@ KEEP_THE_OLD = 3  # exit code: finished, and the old policy is the better one
 @click.option("--yes", is_flag=True, help="With --config: move the robot without asking.")
 @click.option("--goals", type=click.IntRange(1, 1000), default=18, show_default=True, help="Per start, on the wires.")
 @click.option("--quick", is_flag=True, help=f"At most {QUICK} flights of a way: only large gains are proven.")
-@click.option("--mppi/--no-mppi", default=True, help="Also fly mppi on the patched model; it needs no training.")
 @click.option(
     "--adaptive", default="reach-robust", show_default=True, help="Also fly this policy, which needs no diagnosis."
 )
@@ -51,7 +50,6 @@ def close_gap(
     yes: bool,
     goals: int,
     quick: bool,
-    mppi: bool,
     adaptive: str,
     seconds: float | None,
 ) -> None:
@@ -104,7 +102,7 @@ def close_gap(
             warn(f"{', '.join(clock)}: used in training, not in flights, which run the real control loop")
         own = bool(faults) or robot != REALITY
         through = partial(through_wires, Bench(config_file, twin, robot, own, yes, goals, out, spent))
-        options = steps.Options(mppi, None if other == file else other, QUICK if quick else fly.MOST)
+        options = steps.Options(adaptive=None if other == file else other, draws=QUICK if quick else fly.MOST)
         closed = steps.close(found, rail, file, out, held_out, own, recipe, spent, options, through, click.echo)
     _show(closed, out)
     if advise(closed).fly == OLD:

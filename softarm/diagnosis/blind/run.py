@@ -35,20 +35,13 @@ METHODS: dict[str, Method] = {
 }
 
 
-def run(
-    data: Path,
-    file: Path,
-    method: str = "diagnose",
-    workers: Workers | None = None,
-    trials: int | None = None,
-) -> str:
+def run(data: Path, file: Path, method: str = "diagnose", workers: Workers | None = None) -> str:
     """Answer every case, freeze the file of answers and return its SHA-256.
 
     Answers of the same version of the tool to the same data are kept in the folder `file` + `.kept`, also after an
     interrupted run. Processor times are written to `file` + `.timing.json`, which is not frozen.
 
-    The method sees the first `trials` of each case by name, or all. Raises SealError if the folder contains no cases,
-    or the method is unknown.
+    Raises SealError if the folder contains no cases, or the method is unknown.
     """
     if method not in METHODS:
         hint = did_you_mean(method, METHODS)
@@ -56,10 +49,10 @@ def run(
     cases = {case.name: case for case in folders(data)}
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
-    about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": seal.tool_version()}
+    about = {"method": method, "tool": seal.tool_version()}
     folder = seal.beside(file, ".kept")
     kept = Kept(lambda name: folder / f"{name}.json", lambda name: {**about, "data": sha256_of(cases[name])})
-    work = Work(partial(answer_case, method=method, shown=trials), reads=lambda case: [case])
+    work = Work(partial(answer_case, method=method), reads=lambda case: [case])
     done = batch.run(method, work, cases, workers, kept=kept).complete("the same command continues")
     _write(file, about, {name: {k: v for k, v in answer.items() if k not in about} for name, answer in done.items()})
     return seal.freeze(file)
@@ -75,14 +68,14 @@ def folders(data: Path) -> list[Path]:
     return cases
 
 
-def answer_case(folder: Path, method: str, shown: int | None = None) -> dict[str, Any]:
+def answer_case(folder: Path, method: str) -> dict[str, Any]:
     """Return a method's answer to one case; an exception of the method is recorded as a failure.
 
-    The method sees the first `shown` trials, or all, and the model, but neither the case's name nor its path.
+    The method sees the trials and the model, but neither the case's name nor its path.
     """
     begin = time.process_time()
     model = model_file.load(folder / "model.yaml")
-    trials = [_anonymous(trial, folder) for trial in read.read_all([folder])][:shown]
+    trials = [_anonymous(trial, folder) for trial in read.read_all([folder])]
     answer: dict[str, Any] = {"verdict": None, "patched_model": None, "margins": {}}
     failure = ""
     try:

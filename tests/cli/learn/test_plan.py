@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from softarm.cli.learn.plan import show
+from softarm.cli.dev import show
 from softarm.policies.plans import Plans
 from softarm.training.trajectory import ceiling
 from tests.cli.invoke import invoke

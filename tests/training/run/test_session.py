@@ -10,7 +10,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from curve.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import METADATA_KEY
