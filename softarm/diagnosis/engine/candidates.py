@@ -59,7 +59,7 @@ class Candidate:
 
     def exceeds_tolerance(self, u: Sequence[float]) -> bool:
         """Return whether a parameter differs from nominal by more than its tolerance."""
-        return any(abs(x - d.nominal) >= d.tolerance for d, x in zip(self.parameters, u, strict=True))
+        return any(abs(x - d.nominal) > d.tolerance for d, x in zip(self.parameters, u, strict=True))
 
     def at_bound(self, u: Sequence[float]) -> bool:
         """Return whether a parameter is at a physical bound that is neither its nominal nor its neutral value."""

@@ -208,23 +208,37 @@ class Search:
             fit: set whose last effect may be named.
             gain: gain of that effect.
             others: sets with a last effect that cannot be named. A change of the model's own parameter within its
-                tolerance counts. Against an effect within its tolerance all count but those like it, beyond chance.
+                tolerance counts in the same views. Against an effect within its tolerance all count but those like
+                it, beyond chance.
         """
         if fit.effects[-1].exceeds_tolerance(fit.u[-1]):
-            rivals, margin = [(f, g) for f, g in others if _is_within(f) and not f.effects[-1].is_missing], 0.0
+            views, margin = self._views(fit.effects[-1]), 0.0
+            own = [(f, g) for f, g in others if _is_within(f) and not f.effects[-1].is_missing]
+            rivals = [(f, g) for f, g in own if views & self._views(f.effects[-1])]
         else:
             rivals = [(f, g) for f, g in others if not (_is_within(f) and f.effects[-1].is_missing)]
             margin = self.thresholds.gain.resolved_min
         return any(reached.value > gain.value - margin for _, reached in rivals)
 
     def is_large(self, fit: Fit) -> bool:
-        """Return whether every effect exceeds its tolerance, or the only effect is missing in the model.
+        """Return whether every effect exceeds its tolerance, or is missing in the model and alone in its views.
 
         Next to another effect, whose law is not exact, a change within tolerance may correct that law.
         """
-        by_noise = len(fit.effects) == 1 and np.isfinite(self.thresholds.gain.resolved_min)
-        pairs = zip(fit.effects, fit.u, strict=True)
-        return all(each.exceeds_tolerance(u) or (by_noise and each.is_missing) for each, u in pairs)
+        by_noise = np.isfinite(self.thresholds.gain.resolved_min)
+        return all(
+            each.exceeds_tolerance(u) or (by_noise and each.is_missing and self._is_alone(each, fit))
+            for each, u in zip(fit.effects, fit.u, strict=True)
+        )
+
+    def _is_alone(self, effect: Candidate, fit: Fit) -> bool:
+        """Return whether no other effect of a set acts on a view of this effect."""
+        return all(each is effect or self._views(each).isdisjoint(self._views(effect)) for each in fit.effects)
+
+    def _views(self, effect: Candidate) -> set[int]:
+        """Return the indices of the views on which an effect acts."""
+        paths = {d.path for d in effect.parameters}
+        return {k for k, residual in enumerate(self.plain.whitened) if residual.gaps.view.acts & paths}
 
     def _is_visible(self, gain: Gain, stage: str) -> bool:
         t, share, energy = self.thresholds.gain, gain.shares[stage], gain.energies[stage]

@@ -1,6 +1,7 @@
 """Tests of the thresholds: each fails if its threshold moves by a factor of two either way."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,6 +60,10 @@ class Energies(Search):
     def __init__(self, t, first=100.0, left=100.0):
         self.thresholds, self.stages = t, ("arm",)
         self._first, self._left = {"arm": first}, {"arm": left}
+        acts = {"arm.payload.mass"}, {"rail.lag.time"}
+        self.plain = SimpleNamespace(
+            whitened=[SimpleNamespace(gaps=SimpleNamespace(view=SimpleNamespace(acts=each))) for each in acts]
+        )
 
     def energies(self, fit):
         return self._left
@@ -151,7 +156,25 @@ def test_an_effect_that_the_model_lacks_is_named_within_its_tolerance_if_noise_r
     assert not Energies(RIG).is_nameable(fit(missing), clear)
     assert not Energies(NEXT_TO_ANOTHER).is_nameable(fit(missing), clear)
     assert Energies(NEXT_TO_ANOTHER).is_nameable(fit(PAYLOAD), clear)
-    assert not search.is_nameable(fit(PAYLOAD, missing), clear)  # next to another effect
+    assert not search.is_nameable(fit(PAYLOAD, missing), clear)  # next to another effect on the same view
+    other = replace(PAYLOAD, parameters=(replace(PARAMETER, path="rail.lag.time"),))
+    assert search.is_nameable(fit(other, missing), clear)
+    assert search.is_nameable(fit(missing, other), clear)
+    assert not search.is_nameable(fit(other, calibrated), clear)
+
+
+def test_a_change_within_tolerance_contests_only_effects_on_its_own_views():
+    search, clear, larger = Energies(ROBOT), Gain(60.0, 30.0, 90.0, {}, {}), Gain(90.0, 60.0, 120.0, {}, {})
+    calibrated = fit(replace(CONSTANT, parameters=(replace(PARAMETER, tolerance=2.0),)))
+    on_rail = fit(replace(PAYLOAD, parameters=(replace(PARAMETER, path="rail.lag.time"),)))
+    assert search.is_contested(fit(PAYLOAD), clear, [(calibrated, larger)])
+    assert not search.is_contested(fit(PAYLOAD), larger, [(calibrated, clear)])
+    assert not search.is_contested(on_rail, clear, [(calibrated, larger)])
+
+
+def test_a_change_of_exactly_the_tolerance_is_within_it():
+    assert not replace(PAYLOAD, parameters=(replace(PARAMETER, tolerance=1.0),)).exceeds_tolerance((1.0,))
+    assert replace(PAYLOAD, parameters=(replace(PARAMETER, tolerance=1.0),)).exceeds_tolerance((1.001,))
 
 
 @pytest.mark.parametrize("name", PROBES)
