@@ -24,7 +24,7 @@ def not_named(choice: Choice, decision: Decision) -> Iterator[str]:
         if effect in decision.unresolved:
             yield f"{effect.candidate.name} is not named: next to the named effects, the recordings do not resolve it"
         elif effect not in decision.selected:
-            yield f"{effect.candidate.name} is not named: it shrinks the gap but leaves more than it explains"
+            yield f"{effect.candidate.name} is not named: it shrinks the gap, but leaves too much or is not steady"
 
 
 def by_gain(search: Search, choice: Choice, decision: Decision) -> tuple[Rival, ...]:

@@ -6,6 +6,7 @@ An energy is the mean square of a stage's residual over the noise floor's: 1 is 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from math import hypot
 from typing import Literal
 
 from softarm.diagnosis.engine.search import Choice, SelectedEffect
@@ -71,18 +72,24 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     if evidence.proven is not None:
         structure = {s: where for s, where in structure.items() if evidence.proven.get(s) or s in evidence.signs}
         needs = {s: max(e - 1.0, 0.0) * evidence.proven.get(s, 0.0) for s, e in choice.energies[1].items()}
-    unnamed = _needs_cause(needs, taken, fallen, thresholds) or bool(structure)
+    unnamed = _without_cause(needs, taken, fallen, thresholds) | structure.keys()
     left = _added(rest.left, fallen + unresolved)
     excess = any(energy > rest.most[stage] for stage, energy in left.items())
-    explained = sum(max(e, 0.0) for effect in selected for e in effect.gain.energies.values())
-    share = explained / (explained + sum(left.values())) if selected else 0.0
+    share = _share(selected, left)
+    whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
+    if not whole and not thresholds.approximate:  # the laws of a rig leave a rest next to true causes, too
+        # Next to a rest in its own stage, an effect may stand in for an unknown cause, which has no steady strength.
+        most = thresholds.cause.constant_max
+        doubtful = tuple(e for e in selected if e.strongest in unnamed and _varies(e, choice, most))
+        selected = tuple(effect for effect in selected if effect not in doubtful)
+        left = _added(left, doubtful)
+        share = _share(selected, left)
     left |= {stage: max(left.get(stage, 0.0), sign.energy) for stage, sign in evidence.signs.items()}
     if not selected:
         noise = not unnamed and evidence.proven is not None
         return Decision("unknown" if unnamed else "none", (), left, share, structure, noise=noise)
     if share < thresholds.cause.answer_min:
         return Decision("unknown", (), left, 0.0, structure)
-    whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
     complete = len(selected) == len(choice.selected)
     equals = tuple(fit.names for fit in choice.equal_sets) if complete else ()
     return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved, equals)
@@ -99,17 +106,30 @@ def remainder(choice: Choice, evidence: Evidence, t: Thresholds) -> Remainder:
 
 def is_cause(effect: SelectedEffect, choice: Choice, rest: Remainder, t: Thresholds) -> bool:
     """Return whether an effect explains the gap of its stage, with one strength unless nothing remains."""
-    stage, energy = max(effect.gain.energies.items(), key=lambda each: each[1])
+    stage = effect.strongest
+    energy = effect.gain.energies[stage]
     i = choice.chosen.names.index(effect.candidate.name)
     if effect.gain.low <= 0 or effect.candidate.at_bound(choice.chosen.u[i]):
         return False
     scatter, drift = choice.chosen.scatter(i), choice.chosen.drift(i)
     chance = t.cause.chance / max(energy, 1e-6) ** 0.5
-    if effect.candidate.constant and (scatter**2 + drift**2) ** 0.5 > t.cause.constant_max + chance:
+    if effect.candidate.constant and _varies(effect, choice, t.cause.constant_max + chance):
         return False
     steady = scatter <= t.cause.scatter_max + chance and drift <= 2 * t.cause.scatter_max + chance
     at_floor = choice.energies[1][stage] <= 1.0 + min(t.cause.floor_share * rest.removed[stage], t.cause.floor_most)
     return (steady or at_floor) and _explains(stage, energy, rest, t)
+
+
+def _varies(effect: SelectedEffect, choice: Choice, most: float) -> bool:
+    """Return whether an effect's strength differs between excitations or halves of the trials by more than a share."""
+    i = choice.chosen.names.index(effect.candidate.name)
+    return hypot(choice.chosen.scatter(i), choice.chosen.drift(i)) > most
+
+
+def _share(selected: Sequence[SelectedEffect], left: Energies) -> float:
+    """Return the share of the explainable energy that the named effects explain."""
+    explained = sum(max(e, 0.0) for effect in selected for e in effect.gain.energies.values())
+    return explained / (explained + sum(left.values())) if selected else 0.0
 
 
 def _explains(stage: str, energy: float, rest: Remainder, t: Thresholds) -> bool:
@@ -130,13 +150,13 @@ def _structure(evidence: Evidence, rest: Remainder, taken: Energies, t: Threshol
     return found | {stage: each.where for stage, each in evidence.signs.items()}
 
 
-def _needs_cause(needs: Energies, taken: Energies, fallen: Sequence[SelectedEffect], t: Thresholds) -> bool:
-    """Return whether the remaining energy, or that of a rejected effect, needs a cause."""
+def _without_cause(needs: Energies, taken: Energies, fallen: Sequence[SelectedEffect], t: Thresholds) -> set[str]:
+    """Return the stages whose remaining energy, or that of a rejected effect, needs a cause."""
     granted = {s: max(t.gap.unknown_min, min(t.gap.tolerated_share * e, t.cause.rest_most)) for s, e in taken.items()}
-    remains = any(e > granted[s] for s, e in needs.items())
+    remains = {s for s, e in needs.items() if e > granted[s]}
     # Approximate laws leave small effects that are not named; exact laws do not.
     least = t.gap.unknown_min if t.approximate else 0.0
-    return remains or any(max(effect.gain.energies.values()) > least for effect in fallen)
+    return remains | {effect.strongest for effect in fallen if effect.gain.energies[effect.strongest] > least}
 
 
 def _added(energies: Energies, effects: Sequence[SelectedEffect]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 Every comparison is between nested fits with the same nuisances, on held-out blocks.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -51,6 +51,11 @@ class SelectedEffect:
     equivalents: tuple[str, ...]  # effects that the data cannot separate from it
     bounded: tuple[str, ...] = ()  # rivals that would be equivalents, but are at the end of their range
     exchangeable: bool = False  # whether a set without it, as large as the chosen one, explains as much
+
+    @property
+    def strongest(self) -> str:
+        """Return the stage from which the effect removes most energy."""
+        return max(self.gain.energies, key=self.gain.energies.__getitem__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,14 +260,11 @@ class Search:
             # Without one chosen effect the others are distorted: also start rivals from the chosen coordinates.
             u = tuple(self._settled.get(c.name, own) for c, own in zip(base.effects, base.u, strict=True))
             started += self._started(replace(base, u=u), options) if u != base.u else []
-            rough = _best_of_each(self._rough.fit(started, t.rounds_rough))
+            rough = _best_of_each(self._rough.fit(started, t.rounds_rough), lambda f: id(f.effects[-1]))
             least = base.loss - (1 - t.lag_share) * (base.loss - rough[0].loss) if rough else 0.0
             good = [f for f in rough[: t.candidates_max] if t.lag_share >= 1 or f.loss <= least]
             fine = self.problem.fit([(f.effects, f.u) for f in good], t.rounds) + rough[len(good) :]
-            forms: dict[str, Fit] = {}
-            for fit in sorted(fine, key=lambda f: f.loss):  # keep the better form of an effect
-                forms.setdefault(fit.effects[-1].name, fit)
-            self._extended[memory] = list(forms.values())
+            self._extended[memory] = _best_of_each(fine, lambda f: f.names[-1])  # the better form of an effect
         return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
 
     def _started(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[EffectSet, Coordinates]]:
@@ -425,11 +427,11 @@ def _without(fit: Fit, i: int) -> tuple[EffectSet, Coordinates]:
     return fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]
 
 
-def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the best fit for each last candidate, best first."""
-    best: dict[int, Fit] = {}
+def _best_of_each(fits: Sequence[Fit], key: Callable[[Fit], Hashable]) -> list[Fit]:
+    """Return the best fit for each key, best first."""
+    best: dict[Hashable, Fit] = {}
     for fit in sorted(fits, key=lambda f: f.loss):
-        best.setdefault(id(fit.effects[-1]), fit)
+        best.setdefault(key(fit), fit)
     return list(best.values())
 
 

@@ -41,7 +41,6 @@ class Linear:
         self.fold, count = problem.fold, len(problem.nuisance_low)
         self.normal, self.slope, low, high = problem.linear(fit)
         self.squares = problem.block_squares(fit.point)
-        self.samples = max(sum(residual.kept for residual in problem.whitened), 1.0)
         self.free = np.append(high > low, True)
         self.held = np.append(np.zeros(len(low) - count), np.ones(count))
 
@@ -63,16 +62,11 @@ class Linear:
         solution[kept] = np.linalg.solve(matrix, -slope[kept])
         return solution
 
-    def loss(self, slow: Slow | None) -> tuple[float, Array]:
-        """Return the loss of a fit to all blocks, and its unknowns [n + 1]."""
+    def loss(self, slow: Slow | None, x: Array | None = None) -> tuple[float, Array]:
+        """Return the loss of all blocks at the unknowns x [n + 1], by default those that fit best, and the unknowns."""
         normal, slope = (sums.sum(axis=0) for sums in self.grown(slow))
-        x = self.solve(normal, slope)
+        x = self.solve(normal, slope) if x is None else x
         return float(self.squares.sum() + (2 * slope + normal @ x) @ x), x
-
-    def energy(self, slow: Slow | None, x: Array) -> float:
-        """Return the mean square over all samples at given unknowns, in a problem of one view."""
-        normal, slope = (sums.sum(axis=0) for sums in self.grown(slow))
-        return float(self.squares.sum() + (2 * slope + normal @ x) @ x) / self.samples
 
     def held_out(self, slow: Slow | None) -> Array:
         """Return each block's loss after a fit without its fold, [B]."""
@@ -101,7 +95,8 @@ def slow_changes(setup: Setup, search: Search, fit: Fit) -> dict[str, Structure]
     energies = {}
     for stage, residual in zip(search.stages, search.plain.whitened, strict=True):
         view = Linear(replace(search.plain, whitened=(residual,)), fit)
-        energies[stage] = view.energy(None, constant), view.energy(slow, moved)
+        squares = view.loss(None, constant)[0], view.loss(slow, moved)[0]
+        energies[stage] = [each / max(residual.kept, 1.0) for each in squares]
     stage, (left, rest) = max(energies.items(), key=lambda each: each[1][0] - each[1][1])
     tolerated = slow.nuisance and 2 * abs(moved[-1]) < 1  # from the start to the end less than the edge of a box
     # Next to a large rest, a slow change of an approximate law may stand in for any other error of the law.

@@ -71,7 +71,7 @@ def effect_shrink(
 def _stage_of(effect: SelectedEffect) -> str:
     """Return the stage in which an effect is judged: its own if it shows there, else where it shows most."""
     energies, own = effect.gain.energies, effect.candidate.stage
-    return own if energies.get(own, 0.0) > OWN_STAGE_MIN else max(energies, key=lambda s: energies[s])
+    return own if energies.get(own, 0.0) > OWN_STAGE_MIN else effect.strongest
 
 
 def _squares(plain: FitProblem, residual: WhitenedResidual, fold_points: Sequence[Point], trials: int) -> Array:

@@ -103,6 +103,30 @@ def test_an_effect_that_leaves_nothing_and_grows_within_a_trial_is_not_named_eit
     assert _decide(_choice(*law, halves=(0.95, 1.05)), {}).kind == "named"  # its law is nobody's in every digit
 
 
+def test_next_to_a_rest_in_its_own_stage_a_name_must_be_steady_without_allowance_for_chance():
+    """A stiction shows as dry friction whose strength differs a little from half to half."""
+    parts = {"rail": 3.0, "mocap": 0.3}, {"rail": 0.4, "mocap": 0.3}, _named_effect("rail.coulomb_friction", rail=2.6)
+    steady, varies = (_choice(*parts, halves=halves) for halves in ((0.99, 1.01), (0.95, 1.05)))
+    assert _decide(varies, {}).kind == "named"  # without a rest, chance explains the variation
+    for rest, kind, names in (
+        (_odd(4.0, "rail"), "unknown", []),
+        (_odd(4.0, "mocap"), "incomplete", ["rail.coulomb_friction"]),
+    ):
+        decision = _decide(varies, {}, signs=rest)
+        assert (decision.kind, _names(decision)) == (kind, names)
+        assert _decide(steady, {}, signs=rest).kind == "incomplete"
+    assert _decide(varies, {}, signs=_odd(4.0, "rail")).unexplained["rail"] >= 2.6
+    assert _decide(varies, {}, signs=_odd(400.0, "rail"), thresholds=RIG).kind == "incomplete"
+
+
+def test_only_the_names_of_the_stage_with_a_rest_must_be_steady():
+    friction, lag = _named_effect("rail.coulomb_friction", rail=2.6), _named_effect("pressure.lag", pressure=2.0)
+    before, after = {"rail": 3.0, "pressure": 2.4}, {"rail": 0.4, "pressure": 0.4}
+    decision = _decide(_choice(before, after, friction, lag, halves=(0.95, 1.05)), {}, signs=_odd(1.0, "rail"))
+    assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
+    assert decision.explained == pytest.approx(2.0 / 4.6)
+
+
 def test_the_energy_of_a_rejected_effect_counts_as_unexplained():
     lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=3.0)
     decision = _decide(
