@@ -22,6 +22,11 @@ TURN_SHARE = 0.02  # smallest reversal, in ranges of the signal
 SIMULATED = ", simulated"  # end of the name of a simulated signal
 SURROGATES = 19  # a residual without any law exceeds all of them in one of twenty cases
 TRIALS_SHUFFLED = 3  # trials that give enough orders, signs and directions
+# A hum, a disturbance of one frequency, depends on no signal, so that no model of the signals finds it.
+HUM_LEVEL = 0.05  # share of residuals without a hum in which one is found
+HUM_CYCLES_LEAST = 5.0  # in the longest trial; a window of a swing holds four periods of its own
+HUM_NEIGHBOURS = 20  # frequencies on either side that show the level of the noise
+HUM_WIDTH = 4  # frequencies on either side that hold a line, with a Hann window and twice its length
 
 
 def explainable(
@@ -72,6 +77,30 @@ def beyond_chance(view: View, residual: NDArray[np.floating], folds: NDArray[np.
         if _held_out(columns, _components(other[rows]), folds[rows]) >= share:
             return 0.0
     return share
+
+
+def hum(view: View, residual: NDArray[np.floating]) -> float:
+    """Return the share of a residual's [M, S] energy in its strongest line, or 0 if noise may have such a line.
+
+    The power of noise at one frequency exceeds x times the median of its neighbours with a probability of at most
+    2^-x, whatever its colour; the sum over trials is closer to its median.
+    """
+    parts, scaled = slices(view.trial), np.nan_to_num(np.asarray(residual, dtype=float) / view.floor)
+    longest = max(parts, key=lambda part: part.stop - part.start)
+    size = 2 * (longest.stop - longest.start)
+    power = np.zeros(size // 2 + 1)
+    for part in parts:
+        taper = np.hanning(part.stop - part.start)[:, None]
+        centred = scaled[part] - scaled[part].mean(axis=0)
+        power += (np.abs(np.fft.rfft(centred * taper, n=size, axis=0)) ** 2).sum(axis=1)
+    if len(power) <= 2 * HUM_NEIGHBOURS:
+        return 0.0
+    around = [np.median(power[max(k - HUM_NEIGHBOURS, 0) : k + HUM_NEIGHBOURS + 1]) for k in range(len(power))]
+    ratio = power / np.maximum(around, 1e-30)
+    peak = HUM_WIDTH + int(np.argmax(ratio[HUM_WIDTH:]))
+    if peak < 2 * HUM_CYCLES_LEAST or ratio[peak] <= np.log2(len(ratio) / HUM_LEVEL):
+        return 0.0
+    return float(power[peak - HUM_WIDTH : peak + HUM_WIDTH + 1].sum() / power.sum())
 
 
 def _surrogate(scaled: Array, parts: list[slice], random: np.random.Generator) -> Array:

@@ -3,12 +3,16 @@
 A search that adds, removes or replaces single effects cannot find that one mass acts as a gain and a damping together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from softarm.diagnosis.engine.fits import Fit
-from softarm.diagnosis.engine.prediction import Prediction
+import numpy as np
+
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, joined, parameters_of, split
+from softarm.diagnosis.engine.fits import Fit, FitProblem
 
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.search import Search
@@ -54,3 +58,43 @@ def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[F
         best = sorted(predicted, key=lambda each: each.loss)[:FITTED_MAX]
         fits = search.problem.fit([(each.effects, each.u) for each in best], search.thresholds.search.rounds)
     return [fit for fit in fits if search.is_nameable(fit)]
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedSet:
+    """Set of effects with the coordinates and the loss that the sensitivities predict."""
+
+    effects: EffectSet
+    u: Coordinates
+    loss: float  # difference from the loss of the fit
+
+
+class Prediction:
+    """Linear model of a fit with further effects at their nominal values."""
+
+    def __init__(self, problem: FitProblem, fit: Fit, options: Sequence[Candidate] = ()) -> None:
+        """Simulate the sensitivities at a fit; options: further effects that a set may hold."""
+        self._problem, self.effects = problem, (*fit.effects, *options)
+        u = (*fit.u, *(tuple(d.nominal for d in each.parameters) for each in options))
+        self._normal, self._slope = problem.sensitivities(replace(fit, effects=self.effects, u=u))
+        self._x = joined(u)
+        self._owner = np.repeat(np.arange(len(self.effects)), [len(each.parameters) for each in self.effects])
+
+    def of(self, members: Collection[int]) -> PredictedSet:
+        """Return the best fit of some of `effects`, by index, next to the nuisances; the others become nominal."""
+        effects = tuple(self.effects[i] for i in sorted(members))
+        parameters = parameters_of(self.effects)
+        inside = np.isin(self._owner, list(members))
+        kept = np.flatnonzero(inside)
+        free, gone = np.append(kept, np.arange(len(self._x), len(self._slope))), np.flatnonzero(~inside)
+        change = np.zeros(len(self._slope))
+        change[gone] = [parameters[i].nominal - self._x[i] for i in gone]
+        slope = self._slope[free] + self._normal[np.ix_(free, gone)] @ change[gone]
+        # Up to the physical bounds, since the change is large.
+        limits = [
+            np.append([getattr(parameters[i], end) - self._x[i] for i in kept], nuisances)
+            for end, nuisances in zip(("low", "high"), self._problem.nuisance_box(effects), strict=True)
+        ]
+        change[free] = box.solve(np.ascontiguousarray(self._normal[np.ix_(free, free)]), -slope, *limits)
+        loss = float(2 * self._slope @ change + change @ self._normal @ change)
+        return PredictedSet(effects, split(effects, self._x[kept] + change[kept]), loss)

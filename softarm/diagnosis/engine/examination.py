@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, parameters_of, point_of
-from softarm.diagnosis.engine.ceiling import beyond_chance, explainable
+from softarm.diagnosis.engine.ceiling import beyond_chance, explainable, hum
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.folds import interleaved
-from softarm.diagnosis.engine.hum import hum
-from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.problem import Setup, interleaved
 from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.folds import folds, held_out, interleaved
 from softarm.diagnosis.engine.noise import Whitener, scaled, unfiltered, whitener
+from softarm.diagnosis.engine.result import HeldOut
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
 # Weighted squares per block of a view: neighbouring samples and channels are not independent.
 BLOCK_LOSS = 6.0
+TRIALS_MOST = 6  # largest number of folds of whole trials; neighbouring trials share a fold
+STRETCHES = 5  # folds of a single trial
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,3 +145,33 @@ class Setup:
             first = len(self.nuisances) + list(self._own).index(next(iter(view.own_nuisances)))
             columns[first : first + len(view.own_nuisances)] = list(view.own_directions())
         return Directions(np.nan_to_num(np.stack(columns)), None if starts is None else np.nan_to_num(starts))
+
+
+def held_out(kinds: Sequence[str], origins: Sequence[int]) -> HeldOut:
+    """Return the largest unit that can be held out.
+
+    Args:
+        kinds: excitation of each trial of a view.
+        origins: recording that each trial was cut from.
+    """
+    if len(set(kinds)) > 1:
+        return "kind"
+    return "trial" if len(set(origins)) > 1 else "block"
+
+
+def folds(blocks: Sequence[tuple[int, int]], kinds: Sequence[str], origins: Sequence[int]) -> NDArray[np.int64]:
+    """Return the fold of each block (trial, number), [B]: a kind, a recording, or a fifth of the only one."""
+    how = held_out(kinds, origins)
+    if how == "kind":
+        place = {kind: i for i, kind in enumerate(sorted(set(kinds)))}
+        return np.array([place[kinds[trial]] for trial, _ in blocks])
+    if how == "trial":
+        names = sorted({origins[trial] for trial, _ in blocks})
+        count = min(len(names), TRIALS_MOST)
+        return np.array([names.index(origins[trial]) * count // len(names) for trial, _ in blocks])
+    return np.array([i * STRETCHES // len(blocks) for i in range(len(blocks))])
+
+
+def interleaved(blocks: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
+    """Return folds of every fifth block of each trial, [B]; a weaker test than `folds`, without extrapolation."""
+    return np.array([(trial + number) % STRETCHES for trial, number in blocks])

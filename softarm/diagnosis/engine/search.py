@@ -11,8 +11,8 @@ import numpy as np
 
 from softarm.diagnosis.engine import equal_sets, resample, work
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet, parameters_of
+from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.fits import COARSE, Fit, FitProblem
-from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array

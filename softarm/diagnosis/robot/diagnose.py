@@ -28,7 +28,7 @@ from softarm.diagnosis.robot.comparison import Comparison, compare
 from softarm.diagnosis.robot.counts import Count, counts
 from softarm.diagnosis.robot.decided import Decided, decide
 from softarm.diagnosis.robot.drive import SERVO
-from softarm.diagnosis.robot.shrinks import effect_shrink, stage_gap, tip_gap
+from softarm.diagnosis.robot.shrink import effect_shrink, held_out_tip_gap, stage_gap
 from softarm.diagnosis.robot.trial_grid import RATE_HZ
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, NamedEffect, NextExperiment, Shrink, Verdict, Where
@@ -193,7 +193,7 @@ def _stages(
             )
         )
     answers += _counted_stages(counted, {each.stage for each in answers})
-    tip = tip_gap(comparison, points)
+    tip = held_out_tip_gap(comparison, points)
     if tip is not None and decided.chain_floor is not None:
         left = calibrated_tip(comparison, calibrated, points)
         total = tip.total_shrink if point else None

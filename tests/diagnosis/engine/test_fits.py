@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.candidates import Nuisance
+from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.fits import COARSE, NUDGE, nudged
-from softarm.diagnosis.engine.prediction import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from tests.diagnosis.engine.gauge import Gauge, candidate

@@ -2,7 +2,7 @@
 
 import pytest
 
-from softarm.diagnosis.engine.folds import folds, held_out, interleaved
+from softarm.diagnosis.engine.problem import folds, held_out, interleaved
 
 BLOCKS = [(trial, number) for trial in range(3) for number in range(10)]
 

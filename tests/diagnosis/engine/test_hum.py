@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from softarm.diagnosis.engine.hum import hum
+from softarm.diagnosis.engine.ceiling import hum
 from tests.diagnosis.engine.gauge import channel
 
 TRIALS, LENGTH, STEP_S = 4, 900, 1 / 60

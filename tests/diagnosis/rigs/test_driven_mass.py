@@ -12,7 +12,7 @@ import pytest
 
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.engine import equal_sets
-from softarm.diagnosis.engine.prediction import Prediction
+from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG

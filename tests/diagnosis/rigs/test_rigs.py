@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import Series, TableStage
-from softarm.diagnosis.engine.folds import interleaved
-from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.problem import Setup, interleaved
 from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.shooting import swing as swung
