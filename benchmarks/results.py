@@ -70,6 +70,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
     "training": (*_TRAINING, "benchmarks/training.py"),
+    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", _DAEMON, "validation/viewers.py"),
 }
 
 

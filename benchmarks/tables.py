@@ -146,6 +146,17 @@ def loop(read: Read) -> str:
     return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
 
+def viewers(read: Read) -> str:
+    """Return the cost of ten viewers."""
+    found = read("viewers")
+    sides = [found["alone"], found["viewed"]]
+    keys = ("lateness_ms", "bare_loop_lateness_ms", "compute_ms")
+    rows = [[_LOOP[key][0], *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**at[key]) for at in sides)] for key in keys]
+    rows.append(["missed ticks", *(f"{side['missed_ticks']} of {side['ticks']}" for side in sides)])
+    rows.append(["daemon, of a core", *(f"{100 * side['daemon_cpu']:.1f} %" for side in sides)])
+    return markdown(("p50 / p99 / max (ms)", "no viewer", f"{found['viewers']} watch"), rows)
+
+
 def stop(read: Read) -> str:
     """Return how soon a stop is answered under attack."""
     rows = []
@@ -412,6 +423,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "time-to-level": time_to_level,
     "faults": faults,
     "loop": loop,
+    "viewers": viewers,
     "stop": stop,
     "bridging": bridging,
     "estimates": estimates,

@@ -9,6 +9,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 _TICKS_HZ = os.sysconf("SC_CLK_TCK")
+BLOCKS = 8
+WINDOWS = 64  # after the warm-up; each gives one number
+_T95 = 2.365  # Student's t, 97.5 %, BLOCKS - 1 degrees of freedom
+WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; filling caches and ten minutes of samples is no leak
+
+Statistic = Callable[[np.ndarray], float]
+Verdict = Literal["flat", "grows", "too short to decide"]
 
 
 class Usage(NamedTuple):
@@ -20,7 +27,7 @@ class Usage(NamedTuple):
     cpu_s: float  # since it began
 
 
-def of(pids: Iterable[int]) -> Usage:
+def usage_of(pids: Iterable[int]) -> Usage:
     """Return the sum over processes. Raises OSError if one has ended."""
     each = [_of(Path(f"/proc/{pid}")) for pid in pids]
     return Usage(
@@ -63,15 +70,6 @@ def _of(process: Path) -> Usage:
         int(fields[17]),
         (int(fields[11]) + int(fields[12])) / _TICKS_HZ,
     )
-
-
-BLOCKS = 8
-WINDOWS = 64  # after the warm-up; each gives one number
-_T95 = 2.365  # Student's t, 97.5 %, BLOCKS - 1 degrees of freedom
-WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; filling caches and ten minutes of samples is no leak
-
-Statistic = Callable[[np.ndarray], float]
-Verdict = Literal["flat", "grows", "too short to decide"]
 
 
 class Slope(NamedTuple):

@@ -75,7 +75,7 @@ class _Flight:
         for self._ticks in range(1, ticks + 1):
             outputs = self._look(outputs, self._daemon.tick(*self._requests(outputs)))
             if self._ticks % every == 0:
-                now = growth.of([os.getpid()])
+                now = growth.usage_of([os.getpid()])
                 self._samples.append(Sample(self._ticks / DAY_TICKS, now.memory_mb, now.descriptors, now.threads))
                 on_progress(self._ticks / ticks)
         found = self._samples

@@ -124,7 +124,7 @@ class _Watch:
     def _watch(self, pid: int) -> None:
         """Watch the daemon and the rail's process; the process of a policy trial is temporary."""
         self._pids = [pid, *(child for child in growth.children(pid) if RAIL_PROCESS in growth.command(child))]
-        self._cpu_s, self._sampled_s = growth.of(self._pids).cpu_s, time.monotonic()
+        self._cpu_s, self._sampled_s = growth.usage_of(self._pids).cpu_s, time.monotonic()
 
     def look(self, status: dict[str, Any]) -> None:
         """Record lateness and missed ticks of a status."""
@@ -137,7 +137,7 @@ class _Watch:
         if now_s - self._sampled_s < max(1.0, total_s / SAMPLES) or not self._late_ms:
             return
         try:
-            now = growth.of(self._pids)
+            now = growth.usage_of(self._pids)
         except OSError:  # the rail's process was replaced, or the daemon has ended
             with contextlib.suppress(OSError):
                 self._watch(self._pids[0])

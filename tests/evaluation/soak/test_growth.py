@@ -28,11 +28,11 @@ def test_descriptors_threads_and_memory_are_counted():
     child = subprocess.Popen([sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout.readline() == "small\n"
-        before = growth.of([child.pid])
+        before = growth.usage_of([child.pid])
         child.stdin.write("\n")
         child.stdin.flush()
         assert child.stdout.readline() == "grown\n"
-        after = growth.of([child.pid])
+        after = growth.usage_of([child.pid])
     finally:
         child.communicate("\n")
     assert after.descriptors == before.descriptors + 2
@@ -45,11 +45,11 @@ def test_a_child_process_is_counted_until_it_ends():
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     try:
         assert child.pid in growth.children(os.getpid())
-        assert growth.of([os.getpid(), child.pid]).threads > growth.of([os.getpid()]).threads
+        assert growth.usage_of([os.getpid(), child.pid]).threads > growth.of([os.getpid()]).threads
     finally:
         child.communicate(b"\n")
     with pytest.raises(OSError):
-        growth.of([child.pid])
+        growth.usage_of([child.pid])
 
 
 def test_the_size_of_a_folder_is_the_sum_of_its_files(tmp_path):
