@@ -61,7 +61,7 @@ class DisturbedDaemon(SoftwareInTheLoop):
         of_rail = [child for child in children if rail_process.__name__ in growth.command(child)]
         if not of_rail:
             raise SoftwareInTheLoopError("the daemon has no process for the rail")
-        return max(of_rail, key=lambda child: growth.of([child]).descriptors)
+        return max(of_rail, key=lambda child: growth.usage_of([child]).descriptors)
 
     def recover(self, patience_s: float) -> bool:
         """Acknowledge a latched stop and wait until arming would be accepted; return whether there was a latch.

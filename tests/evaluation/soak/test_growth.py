@@ -45,7 +45,7 @@ def test_a_child_process_is_counted_until_it_ends():
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     try:
         assert child.pid in growth.children(os.getpid())
-        assert growth.usage_of([os.getpid(), child.pid]).threads > growth.of([os.getpid()]).threads
+        assert growth.usage_of([os.getpid(), child.pid]).threads > growth.usage_of([os.getpid()]).threads
     finally:
         child.communicate(b"\n")
     with pytest.raises(OSError):
