@@ -48,14 +48,15 @@ class Router:
         self.samples = []
         self._subscriber = self.session.declare_subscriber("*/softarm/*/*/*", self.samples.append)
 
-    def messages(self, name):
-        """Return the messages of a topic so far, deserialised."""
-        data = [each.payload.to_bytes() for each in self.samples if str(each.key_expr) == key(name, TYPES[name])]
-        return [STORE.deserialize_cdr(each, TYPES[name]) for each in data]
+    def messages(self, name, part=slice(None)):
+        """Return the messages of a topic so far, or a part of them, deserialised."""
+        topic = key(name, TYPES[name])
+        data = [each.payload for each in self.samples.copy() if str(each.key_expr) == topic]
+        return [STORE.deserialize_cdr(each.to_bytes(), TYPES[name]) for each in data[part]]
 
     def first(self, name):
-        until(lambda: self.messages(name))
-        return self.messages(name)[0]
+        until(lambda: self.messages(name, slice(1)))
+        return self.messages(name, slice(1))[0]
 
     def answer(self):
         return self.first("answer").data
@@ -258,7 +259,7 @@ def test_a_goal_and_a_stop_reach_the_daemon(router, tmp_path):
         assert target.z == 0.65
         router.send_stop()
         until(lambda: daemon.loop.snapshot.estop is not EStop.CLEAR)
-        until(lambda: router.messages("stopped")[-1].data)
+        until(lambda: router.messages("stopped", slice(-1, None))[0].data)
         until(lambda: "stop" in [entry.what for entry in daemon.recorder.history.entries if "ROS 2" in entry.text])
     assert router.messages("joint_states")[0].position[0] == pytest.approx(0.0, abs=0.3)
     stamps = [stamp_ns(message) for message in router.messages("tip")]

@@ -6,12 +6,19 @@ import mujoco
 import numpy as np
 import pytest
 
+from softarm.reality.mechanisms import cases
 from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, draw_and_write, scales_of
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record
 
 
-def columns(robot, laws=None, seconds=3.0, kind="multisine"):
+def columns(robot, laws=None, seconds=1.5, kind="multisine"):
     return record(ROBOTS[robot], Truth(laws or {}), kind, seconds, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    """The recording of a camera without a fault."""
+    return columns("camera")
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -21,9 +28,9 @@ def test_every_joint_of_a_robot_exists_in_its_model(name):
     assert joints == {*robot.judged, *robot.moved}
 
 
-def test_the_same_seed_gives_the_same_recording():
-    one, other = columns("camera"), columns("camera")
-    assert all(np.array_equal(one[name], other[name]) for name in one)
+def test_the_same_seed_gives_the_same_recording(healthy):
+    again = columns("camera")
+    assert all(np.array_equal(healthy[name], again[name]) for name in healthy)
 
 
 def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
@@ -33,17 +40,16 @@ def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
 
 
 @pytest.mark.parametrize("name", [*FAULTS, *UNKNOWNS])
-def test_every_fault_changes_the_recording(name):
+def test_every_fault_changes_the_recording(name, healthy):
     fault = (FAULTS | UNKNOWNS)[name]
     scale = scales_of(ROBOTS["camera"])["tilt"]
     laws = {"tilt": fault.law(JointLaw(), scale, 1.0)}
-    healthy, faulty = columns("camera"), columns("camera", laws)
+    faulty = columns("camera", laws)
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
 
 
-# Over 3 s: three recordings of 20 s.
-@pytest.mark.slow
-def test_a_case_holds_its_input_apart_from_its_causes(tmp_path):
+def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "DURATION_S", 2.0)
     draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
     assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
         "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",

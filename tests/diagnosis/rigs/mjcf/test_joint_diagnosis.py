@@ -21,7 +21,7 @@ def written(folder, robot, laws):
     """Record three trials of a robot with its model and its stage.yaml."""
     random = np.random.default_rng(3)
     for number, kind in enumerate(KINDS):
-        write(record(ROBOTS[robot], Truth(laws), kind, 10.0, random), folder / f"{kind}-{number}.csv")
+        write(record(ROBOTS[robot], Truth(laws), kind, 5.0, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
     return folder / "stage.yaml"
