@@ -5,6 +5,7 @@ Example: python -m tools.kernels
 
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +16,17 @@ from softarm.simulator.stage_simulator import StageSimulator
 ROBOTS = (len(NARROW), len(WIDE), len(WIDE) * PARALLEL_BLOCKS)
 # The paper's model, which leaves every effect out, and a model with one.
 OVERRIDES: tuple[dict[str, float], ...] = ({}, {"arm.payload.mass": 0.01})
+# The reference of the simulator's tests steps a few robots in double precision.
+KINDS = (*product(ROBOTS, (np.float32,)), (ROBOTS[0], np.float64))
 
 
-def compile_for(robots: int, overrides: dict[str, float]) -> None:
-    """Run every entry point of the kernel once for a batch of this size."""
-    simulator = StageSimulator(robots=robots, overrides=overrides)
+def compile_for(kind: tuple[int, Any], overrides: dict[str, float]) -> None:
+    """Run every entry point of the kernel once for a batch of this size and precision."""
+    robots, dtype = kind
+    simulator = StageSimulator(robots=robots, overrides=overrides, dtype=dtype)
     simulator.step(0.0, 0.0)
-    if robots > len(WIDE):
+    simulator.tip_m()
+    if robots > len(WIDE) or dtype is np.float64:
         return
     zeros = np.zeros((1, robots))
     simulator.fly(zeros, zeros)
@@ -32,4 +37,4 @@ def compile_for(robots: int, overrides: dict[str, float]) -> None:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor() as processes:
-        list(processes.map(compile_for, *zip(*product(ROBOTS, OVERRIDES), strict=True)))
+        list(processes.map(compile_for, *zip(*product(KINDS, OVERRIDES), strict=True)))

@@ -84,7 +84,7 @@ def test_results_that_cannot_be_compared_are_refused(reached, tmp_path, monkeypa
     assert words in outcome.output
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_stored_entry_is_reproduced(tmp_path):
     copy = tmp_path / "board.json"
     shutil.copy(STORED, copy)

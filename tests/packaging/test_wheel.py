@@ -80,26 +80,38 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-# Over 3 s: makes an environment and installs five packages, once for all tests.
+def install(python: Path, *packages: Path) -> None:
+    pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-build-isolation")
+    run(*pip, *packages, cwd=python.parent)
+
+
+# Over 3 s: makes an environment and installs the wheel, once for all tests.
 @pytest.fixture(scope="module")
 def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install softarm and a user's project into a new environment, and return its Python.
+    """Install softarm into a new environment, and return its Python.
 
     A .pth file gives it the dependencies of this environment without the editable install.
     """
     home = tmp_path_factory.mktemp("home")
-    for name, text in PROJECT.items():
-        (home / "their-arm" / name).parent.mkdir(parents=True, exist_ok=True)
-        (home / "their-arm" / name).write_text(textwrap.dedent(text))
     run(sys.executable, "-m", "venv", "--without-pip", home / "env", cwd=home)
     python = home / "env" / "bin" / "python"
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home).strip())
     (site / "dependencies.pth").write_text(DEPENDENCIES + "\n")
-    pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-build-isolation")
+    install(python, next(built.glob("*.whl")))
+    return python
+
+
+@pytest.fixture(scope="module")
+def extended(installed: Path) -> Path:
+    """Install the user's project and the examples beside softarm, and return the folder of the project."""
+    home = installed.parents[2]
+    for name, text in PROJECT.items():
+        (home / "their-arm" / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / "their-arm" / name).write_text(textwrap.dedent(text))
     for example in EXAMPLES:
         shutil.copytree(example, home / "examples" / example.name)
-    run(*pip, next(built.glob("*.whl")), home / "their-arm", *(home / "examples").iterdir(), cwd=home)
-    return python
+    install(installed, home / "their-arm", *(home / "examples").iterdir())
+    return home / "their-arm"
 
 
 def test_the_wheel_and_the_sdist_contain_softarm_only(built: Path) -> None:
@@ -126,7 +138,7 @@ def test_the_wheel_contains_all_data_files_and_no_others(built: Path) -> None:
 
 
 @pytest.mark.prove
-def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: Path, tmp_path: Path) -> None:
+def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: Path, extended: Path) -> None:
     said = run(
         installed,
         "-c",
@@ -134,7 +146,7 @@ def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: 
         "import gymnasium;"
         "print(policies.base.THEIRS, training.THEIRS, softarm.__file__);"
         "print(gymnasium.spec('SoftArmReach-v0').id)",
-        cwd=installed.parents[2] / "their-arm",
+        cwd=extended,
     )
     site = next(installed.parents[1].glob("lib/python*/site-packages"))
     assert said.splitlines() == [f"True True {site}/softarm/__init__.py", "SoftArmReach-v0"]
@@ -142,10 +154,9 @@ def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: 
 
 def test_the_wheel_alone_creates_a_configuration_and_a_service(installed: Path, tmp_path: Path) -> None:
     softarm = installed.with_name("softarm")
-    run(softarm, "config", "new", "--twin", cwd=tmp_path)
     run(softarm, "config", "new", cwd=tmp_path)
     assert "softarm.yaml: valid" in run(softarm, "check", "softarm.yaml", cwd=tmp_path)
-    run(softarm, "service", "install", "--root", tmp_path / "root", "--config", "twin.yaml", cwd=tmp_path)
+    run(softarm, "service", "install", "--root", tmp_path / "root", "--config", "softarm.yaml", cwd=tmp_path)
     unit = (tmp_path / "root/etc/systemd/system/softarmd.service").read_text()
     assert f"ExecStart={softarm} run --config /etc/softarm/softarm.yaml" in unit.splitlines()
     page = unit.partition("Documentation=file://")[2].splitlines()[0]
@@ -163,14 +174,13 @@ def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> 
 
 @pytest.mark.prove
 @pytest.mark.timeout(400)
-def test_the_users_plugin_is_flown_and_so_are_a_shipped_policy_and_the_examples(installed: Path) -> None:
-    home = installed.parents[2] / "their-arm"
+def test_the_users_plugin_a_shipped_policy_and_the_examples_fly(installed: Path, extended: Path) -> None:
     softarm = installed.with_name("softarm")
-    assert "left: 54 targets" in run(softarm, "evaluate", "left", cwd=home, seconds=390)
-    flown = run(softarm, "evaluate", "reach", cwd=home)
+    assert "left: 54 targets" in run(softarm, "evaluate", "left", cwd=extended, seconds=390)
+    flown = run(softarm, "evaluate", "reach", cwd=extended)
     assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0
-    examples = home.parent / "examples"
+    examples = extended.parent / "examples"
     tests = [examples / example.name / "tests" for example in EXAMPLES]
     assert len(tests) == 3
     plain = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib", "--rootdir", examples)
-    assert " passed" in run(installed, "-m", "pytest", *plain, *tests, cwd=home)
+    assert " passed" in run(installed, "-m", "pytest", *plain, *tests, cwd=extended)

@@ -19,7 +19,7 @@ def shipped(name: str) -> onnxruntime.InferenceSession:
 
 
 def reached_in_range(
-    policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None, count: int = 192
+    policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None, count: int = 96
 ) -> float:
     """Share of random targets of the task's training range."""
     trials = validation_scenarios(task, 5, count)
@@ -52,7 +52,5 @@ def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():
     rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}
     late = model.model_copy(update={"effects": dict(model.effects) | rail})
     task = PRESETS["reach-wide"]
-    robust, wide, reach = (
-        reached_in_range(shipped(f"reach{name}"), task, late, count=96) for name in ("-robust", "-wide", "")
-    )
+    robust, wide, reach = (reached_in_range(shipped(f"reach{name}"), task, late) for name in ("-robust", "-wide", ""))
     assert robust > max(wide, reach) + 0.2

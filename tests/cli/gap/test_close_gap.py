@@ -26,7 +26,7 @@ def _no_gap(monkeypatch):
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
 
 
-@pytest.mark.parametrize("declared", [True, False])
+@pytest.mark.parametrize("declared", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_the_result_shows_the_ways_and_the_written_files(campaign, tmp_path, monkeypatch, declared):
     monkeypatch.setattr(fly, "TEST_TARGETS", (EASY, NEVER))
     monkeypatch.setattr(fly, "cores", lambda: 1)

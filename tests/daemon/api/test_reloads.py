@@ -18,6 +18,7 @@ from softarm.daemon.logbook.recent import Recent
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES
+from tests.processes import WAIT_S
 
 LOADED = ("/", "/api/robot", "/api/recent", "/api/status")
 
@@ -78,14 +79,13 @@ def test_during_a_flood_of_reloads_a_stop_and_every_reload_are_answered(loop, ap
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monkeypatch):
     asked: list[int] = []
     monkeypatch.setattr("softarm.common.realtime._set", asked.append)
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
     daemon = Daemon(config, simulated_devices())
     assert asked == []  # threads keep the priority of the thread that starts them
-    with daemon, httpx.Client(base_url=daemon.url, trust_env=False) as client:
+    with daemon, httpx.Client(base_url=daemon.url, trust_env=False, timeout=WAIT_S) as client:
         robot = client.get("/api/robot").json()
         assert (robot["simulated"], robot["stop_port"]) == (True, daemon.stop_port)
         assert robot["run"] == client.get("/api/events").json()["run"]
@@ -98,7 +98,7 @@ def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monke
     heights = [z_m for _, z_m in bodies]
     assert heights == sorted(heights, reverse=True)  # it hangs
     assert robot["hinge_z_m"] - heights[-1] == pytest.approx(sum(robot["link_length_m"]), abs=0.03)
-    assert shown[-1]["time"] == pytest.approx(time.time(), abs=5)
+    assert shown[-1]["time"] == pytest.approx(time.time(), abs=60)
     times = dict(zip(columns["tick"], columns["time"], strict=True))
     both = [one for one in shown if one["tick"] in times]
     assert len(both) > 20
@@ -106,4 +106,4 @@ def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monke
 
 
 def status(stream) -> dict:
-    return json.loads(stream.recv(timeout=5))
+    return json.loads(stream.recv(timeout=WAIT_S))
