@@ -39,6 +39,11 @@ class FittedParameter:
             return u
         return 1 / max(u, self.smallest) if u > self.smallest / 2 else math.inf
 
+    def margin(self, u: float) -> float:
+        """Return the distance to the nearer bound; a shape of zero (rigid friction) is a law's simplest form."""
+        low = math.inf if self.shape and self.low == 0.0 else u - self.low
+        return min(low, math.inf if self.open_end else self.high - u)
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -64,8 +69,7 @@ class Candidate:
     def at_bound(self, u: Sequence[float]) -> bool:
         """Return whether a parameter is at a physical bound that is neither its nominal nor its neutral value."""
         return any(
-            min(x - d.low, math.inf if d.open_end else d.high - x) < BOUND_SHARE * d.size
-            and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
+            d.margin(x) < BOUND_SHARE * d.size and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
             for d, x in zip(self.parameters, u, strict=True)
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.candidates import Nuisance
+from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.fits import COARSE, NUDGE, nudged
 from softarm.diagnosis.engine.problem import Setup
@@ -152,6 +152,14 @@ def test_within_its_bounds_no_effect_is_at_one(both):
     absent = _fit(_problem(_View(truth={})), LAG)
     assert absent.point[TIME] == pytest.approx(0.0, abs=0.005)
     assert not absent.at_bound  # an effect that is absent stands at no bound, though zero is one
+
+
+def test_friction_that_slips_at_once_is_at_no_bound():
+    torque, give = (candidate(f"stage.friction.{name}", 0.0, 1.0, 0.1).parameters[0] for name in ("torque", "give"))
+    friction = Candidate("stage.friction", "stage", (torque, dataclasses.replace(give, nominal=0.1, shape=True)), ())
+    assert not friction.at_bound((0.5, 0.0))
+    assert friction.at_bound((1.0, 0.0))
+    assert friction.at_bound((0.5, 1.0))
 
 
 def test_a_nuisance_stays_in_its_box():
