@@ -18,30 +18,56 @@ if TYPE_CHECKING:
     from softarm.diagnosis.engine.search import Search
 
 FITTED_MAX = 6  # sets of one size that are fitted, the best by prediction
+EQUAL = 0.5  # held-out loss that counts as no difference
 
 
 def smallest(search: "Search", chosen: Fit, null_model: Fit) -> Fit:
-    """Return the smallest set to which the chosen one adds no gain, or the chosen set."""
+    """Return the simplest of the smallest sets to which the chosen one adds no gain, or the chosen set."""
     for size in range(1, len(chosen.effects)):
         alike = [
             fit for fit in _fitted(search, chosen, null_model, size) if not search.is_gain(search.gain(fit, chosen))
         ]
         if alike:
-            return min(alike, key=lambda fit: float(fit.held_out.sum()))
+            return _simplest(search, alike)
     return chosen
 
 
-def equals(search: "Search", chosen: Fit, null_model: Fit) -> tuple[Fit, ...]:
-    """Return sets as large as the chosen one that differ in two effects or more and explain as much, best first."""
-    if len(chosen.effects) < 2:
-        return ()
-    whole = search.gain(null_model, chosen)
-    found = [
-        (lack.value, fit)
-        for fit in _fitted(search, chosen, null_model, len(chosen.effects))
-        if search.is_equivalent(null_model, fit, lack := search.gain(fit, chosen), whole)
-    ]
-    return tuple(fit for _, fit in sorted(found, key=lambda each: each[0]))
+def first_of_equals(search: "Search", chosen: Fit, null_model: Fit) -> tuple[Fit, tuple[Fit, ...]]:
+    """Return the simplest set as large as the chosen one that explains as much, whichever of them was chosen.
+
+    Sets that differ from it in two effects or more and explain as much come second, best first.
+    """
+    if not chosen.effects:
+        return chosen, ()
+    others = _fitted(search, chosen, null_model, len(chosen.effects))
+    first = _simplest(search, [chosen, *others, *_exchanged(search, chosen, null_model)])
+    if first is not chosen:
+        others = _fitted(search, first, null_model, len(first.effects))
+    whole = search.gain(null_model, first)
+    lacks = [(search.gain(fit, first), fit) for fit in others if len(first.effects) > 1]
+    equals = [(lack.value, fit) for lack, fit in lacks if search.is_equivalent(null_model, fit, lack, whole)]
+    return first, tuple(fit for _, fit in sorted(equals, key=lambda each: each[0]))
+
+
+def _simplest(search: "Search", fits: Sequence[Fit]) -> Fit:
+    """Return the fit with the fewest parameters among those that explain as much within noise as the best.
+
+    Of several, the best is returned; of those without a difference, the one whose effects come first.
+    """
+    order = [each.name for each in search.candidates]
+    best = min(fits, key=search.loss)
+    alike = [fit for fit in fits if search.is_noise(search.gain(fit, best))]
+    fewest = min(len(fit.x) for fit in alike)
+    simple = [fit for fit in alike if len(fit.x) == fewest]
+    least = min(map(search.loss, simple))
+    same = [fit for fit in simple if search.loss(fit) < least + EQUAL]
+    return min(same, key=lambda fit: (sorted(map(order.index, fit.names)), search.loss(fit)))
+
+
+def _exchanged(search: "Search", chosen: Fit, null_model: Fit) -> list[Fit]:
+    """Return fits with one other effect in place of one of the chosen, without those that may not be named."""
+    less = search.without_each(chosen, null_model)
+    return [fit for each in less for fit in search.extended(each, chosen.names) if search.is_nameable(fit)]
 
 
 def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[Fit]:

@@ -23,7 +23,6 @@ SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
 RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
 SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
 SHARED_MIN = 0.1  # energy that two effects remove from a stage, at most, if they may replace each other there
-EQUAL = 0.5  # held-out loss that counts as no difference
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
 POLISH, SETTLED = 4, 0.005  # further descents of a backward search, and the relative gain that ends them
@@ -101,10 +100,9 @@ class Search:
         chosen = equal_sets.smallest(self, chosen, null_model)
         if self.thresholds.approximate:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))
-            chosen = self.first_of_equals(chosen, null_model)
+        chosen, equals = equal_sets.first_of_equals(self, chosen, null_model)
         self.extended(chosen)  # further effects count in `fitted`
         energies = self.energies(null_model), self.energies(chosen)
-        equals = equal_sets.equals(self, chosen, null_model)
         selected = self.selected(chosen, null_model, equals)
         return Choice(null_model, tuple(self.ranked(null_model)), chosen, selected, energies, equals)
 
@@ -196,6 +194,10 @@ class Search:
         """Return whether a gain is beyond chance and large enough to matter."""
         enough = gain.low > 0 and gain.value > self.thresholds.gain.loss_min
         return enough and any(self._is_visible(gain, stage) for stage in gain.shares)
+
+    def is_noise(self, gain: Gain) -> bool:
+        """Return whether a gain may be chance, and is too small to matter."""
+        return gain.low <= 0 and gain.value <= self.thresholds.gain.loss_min
 
     def is_nameable(self, fit: Fit, gain: Gain | None = None) -> bool:
         """Return whether a set's effects may be named: large enough, and none at a bound.
@@ -367,17 +369,6 @@ class Search:
             found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded, doubtful))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
-    def first_of_equals(self, chosen: Fit, null_model: Fit) -> Fit:
-        """Return the set with the earlier candidate in place of any that the data cannot separate from it."""
-        order = [c.name for c in self.candidates]
-        for effect, less in zip(chosen.effects, self.without_each(chosen, null_model), strict=True):
-            for rival in sorted(self.extended(less, chosen.names), key=lambda f: order.index(f.effects[-1].name)):
-                earlier = order.index(rival.effects[-1].name) < order.index(effect.name)
-                same = abs(self.gain(rival, chosen).value) < EQUAL
-                if earlier and same and self.is_nameable(rival):
-                    return rival
-        return chosen
-
     def is_equivalent(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
         """Return whether a rival may be the cause as well: it explains the same part, and about as well.
 
@@ -386,7 +377,7 @@ class Search:
         own, t = self.gain(less, rival), self.thresholds.rival
         least = min(SHARED_MIN, 0.5 * max(gain.energies.values()))
         shared = any(own.energies[s] > 0.5 * e and e >= least for s, e in gain.energies.items())
-        rest = float(self._counted(rival).sum()) - lack.value
+        rest = self.loss(rival) - lack.value
         close = lack.low <= 0 or lack.value < max(t.lack_max, t.lack_share * gain.value, t.misfit_share * rest)
         enough = self.is_large(rival) and self.is_gain(own)
         return enough and shared and close and lack.value < t.share_max * gain.value
@@ -399,6 +390,10 @@ class Search:
         gone = {s: before[s] - after[s] for s in shares}
         low, high = resample.interval(resample.draws(len(difference)) @ difference)
         return Gain(float(difference.sum()), float(low), float(high), shares, gone)
+
+    def loss(self, fit: Fit) -> float:
+        """Return the held-out loss that gains are differences of."""
+        return float(self._counted(fit).sum())
 
     def _counted(self, fit: Fit) -> Array:
         """Return the held-out losses by block, large ones tempered for approximate laws."""

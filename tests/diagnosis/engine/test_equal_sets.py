@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine import equal_sets
-from softarm.diagnosis.engine.candidates import Nuisance
+from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
@@ -15,24 +15,33 @@ from tests.diagnosis.engine.gauge import Gauge, candidate
 RATE_HZ, LENGTH_S, NOISE = 50.0, 12.0, 0.02
 # Every effect is a mixture of the same two signals, except the last, which is another signal.
 MIXTURES = {"slow": (1, 0, 0), "fast": (0, 1, 0), "sum": (1, 0.6, 0), "difference": (1, -0.6, 0), "other": (0, 0, 1)}
+SIZES = ("stage.slow.size", "stage.fast.size", "stage.other.size")
+# The slow signal with a shape: the form of the other signal that it adds.
+SHAPED = Candidate(
+    "stage.shaped",
+    "stage",
+    tuple(candidate(f"stage.{name}.size", -4.0, 4.0, 0.2).parameters[0] for name in ("shaped", "shape")),
+    ((0.2, 0.0),),
+)
 
 
 @dataclass
 class _View(Gauge):
     """A gauge that shows a constant plus what the effects of a point add."""
 
-    truth: tuple[float, float] = (0.0, 0.0)  # amplitudes of the slow and of the fast signal
-    acts = frozenset(f"stage.{name}.size" for name in MIXTURES)
+    truth: tuple[float, ...] = ()  # amplitudes of the slow, the fast and the other signal
+    acts = frozenset(f"stage.{name}.size" for name in (*MIXTURES, "shaped", "shape"))
 
     def __post_init__(self):
         self._stamp(2, RATE_HZ, LENGTH_S)
         self.signals = np.sin(np.outer([3.0, 11.0, 7.0], self.t_s))
-        self._measure(dict(zip(("stage.slow.size", "stage.fast.size"), self.truth, strict=True)), NOISE)
+        self._measure(dict(zip(SIZES, self.truth, strict=False)), NOISE)
         self.noise = self.floor
 
     def _predict(self, point):
         sizes = np.array([point.get(f"stage.{name}.size", 0.0) for name in MIXTURES])
-        return sizes @ np.array(list(MIXTURES.values())) @ self.signals
+        shaped = np.array([point.get("stage.shaped.size", 0.0), 0.0, point.get("stage.shape.size", 0.0)])
+        return (sizes @ np.array(list(MIXTURES.values())) + shaped) @ self.signals
 
 
 @pytest.fixture(params=[ROBOT, RIG], ids=["robot", "rig"])
@@ -42,6 +51,7 @@ def chosen(request):
     def made(truth, *names):
         setup = Setup([_View(truth)], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
         candidates = tuple(candidate(f"stage.{name}.size", -4.0, 4.0, 0.2, 0.2, -0.2) for name in MIXTURES)
+        candidates = (SHAPED, *candidates) if "shaped" in names else candidates
         search = Search(setup.weighed(), setup.plain(), ("stage",), candidates, request.param)
         own = tuple(c for c in candidates if c.name.removeprefix("stage.") in names)
         null_model = search.null_model()
@@ -61,9 +71,22 @@ def test_two_effects_that_no_single_one_explains_stay(chosen):
     assert equal_sets.smallest(search, both, null_model) is both
 
 
-def test_a_set_of_other_effects_that_explains_as_much_is_found(chosen):
-    found = equal_sets.equals(*chosen((0.5, 0.6), "slow", "fast"))
-    assert [fit.names for fit in found] == [("stage.sum", "stage.difference")]
+@pytest.mark.parametrize("names", [("slow", "fast"), ("sum", "difference")])
+def test_whichever_set_a_search_ends_with_its_first_equal_is_the_answer(chosen, names):
+    first, equals = equal_sets.first_of_equals(*chosen((0.5, 0.6), *names))
+    assert set(first.names) == {"stage.slow", "stage.fast"}
+    assert [fit.names for fit in equals] == [("stage.sum", "stage.difference")]
+
+
+def test_a_law_with_fewer_parameters_wins_within_noise(chosen):
+    search, shaped, null_model = chosen((0.5, 0.0), "shaped")
+    first, equals = equal_sets.first_of_equals(search, shaped, null_model)
+    assert (first.names, equals) == (("stage.slow",), ())
+
+
+def test_a_law_whose_shape_is_seen_stays(chosen):
+    first, _ = equal_sets.first_of_equals(*chosen((0.5, 0.0, 0.4), "shaped"))
+    assert first.names == ("stage.shaped",)
 
 
 def test_the_answer_of_a_search_names_its_equals(chosen):
