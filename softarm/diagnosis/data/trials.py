@@ -107,6 +107,7 @@ class Trial:
     stage: TableStage | None = None  # None for a recording of the whole robot
     warnings: tuple[str, ...] = ()  # doubts about the data, each with its remedy
     missing: Mapping[str, str] = field(default_factory=dict)  # channel -> why it is missing
+    recording: str = ""  # name of the recording that a stretch was cut from
 
     @property
     def not_observable(self) -> dict[str, str]:

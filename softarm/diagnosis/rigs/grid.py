@@ -113,6 +113,7 @@ def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
         replace(
             trial,
             name=f"{trial.name} from {low - start:.4g} s",
+            recording=trial.recording or trial.name,
             channels={name: kept(s, (s.t_s >= low) & (s.t_s < high)) for name, s in trial.channels.items()},
         )
         for low, high in pairwise(edges)

@@ -127,6 +127,10 @@ class RigView:
         """Warnings about the data, for the reader of the verdict."""
         return ()
 
+    def warnings_at(self, point: Point) -> tuple[str, ...]:
+        """Return warnings about the data that need the named effects, at a point with these."""
+        return ()
+
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by name, [M] masks."""

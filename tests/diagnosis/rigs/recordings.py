@@ -31,6 +31,9 @@ def named(trials):
     return verdict, {e.name.partition(".")[2]: {k: p.value for k, p in e.parameters.items()} for e in verdict.effects}
 
 
+STAGES = Path(tables.__file__).parents[1] / "rigs" / "stages"
+
+
 def shipped(stage, data):
     """Return the real trials of a shipped stage.yaml."""
-    return tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / stage, data)
+    return tables.read(STAGES / stage, data)

@@ -52,6 +52,8 @@ MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
 OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
+# The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
+ZERO_APART = 20
 # Tolerance of the travel over which friction bends, in its usual value.
 GIVE_TIMES = 3.0
 
@@ -91,6 +93,7 @@ class JointView(RigView):
         self._windows = [self._starts(k, seen[k]) for k in range(len(trials))]
         self._free = [self._freed(k) for k in range(len(trials))]
         self._unsure = self._without_unsure()
+        self._apart = self._zeros([t.recording or t.name for t in trials])
 
     def _without_unsure(self) -> float:
         """Take out samples that depend on motion of the other joints between samples, and return their share.
@@ -116,6 +119,30 @@ class JointView(RigView):
             windows.seen[out] = np.nan
         self._free = [self._freed(k) for k in range(len(self._windows))]
         return float(every.mean())
+
+    @property
+    def _zero(self) -> float:
+        """Error of a good zero, rad or m."""
+        return ZERO_RAD if self._joint.turns else ZERO_SHARE * self._scales.travel
+
+    def _zeros(self, recordings: Sequence[str]) -> tuple[Array, Array]:
+        """Return how the gap changes with the zero of each recording, per rad or m, [K, M], and their squares [K].
+
+        There are none for a single recording, and for a joint without a load.
+        """
+        names = list(dict.fromkeys(recordings))
+        if len(names) < 2 or not self._scales.load:
+            return np.zeros((0, len(self.trial))), np.zeros(0)
+        of = np.array([names.index(name) for name in recordings])[self.trial]
+        change = np.nan_to_num(self._raw_gap({f"{self.stage}.sensor_bias.bias": self._zero}) - self._raw_gap({}))
+        columns = (of == np.arange(len(names))[:, None]) * change / self._zero
+        return columns, (columns**2).sum(axis=1) + (self.floor[0] / (ZERO_APART * self._zero)) ** 2
+
+    def _zeros_apart(self, raw: Array) -> Array:
+        """Return the zero of each recording beside their mean that explains values [M] best, rad or m, [K]."""
+        columns, squares = self._apart
+        products = -columns @ np.nan_to_num(raw)
+        return np.asarray(products / squares - products.sum() / max(squares.sum(), 1e-30))
 
     def _free_starts(self, k: int, left: Array) -> None:
         """Remove from a trial's values [T] what a change of its windows' starts explains."""
@@ -240,7 +267,7 @@ class JointView(RigView):
             "coulomb_friction.give": GIVE_TIMES * s.give,
             "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
-            "sensor_bias.bias": ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel,
+            "sensor_bias.bias": self._zero,
             "mass.scale": OF_OWN,
             "gain.scale": OF_OWN,
             "position_gain.scale": OF_OWN,
@@ -248,7 +275,7 @@ class JointView(RigView):
         if self._inputs:
             own["dead_time.delay"] = HELD_LATE * usual_step(self._inputs)
             own["torque_offset.torque"] = OF_FORCE * s.usual
-            own["command_bias.bias"] = ZERO_RAD if self._joint.turns else ZERO_SHARE * s.travel
+            own["command_bias.bias"] = self._zero
         return own
 
     @property
@@ -260,6 +287,16 @@ class JointView(RigView):
         return (
             f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples and "
             f"are {done}; record at a higher rate, or move fewer joints at once",
+        )
+
+    def warnings_at(self, point: Point) -> tuple[str, ...]:
+        """Return a warning about zeros that differ between recordings."""
+        apart = float(np.ptp(self._zeros_apart(self._raw_gap(point)))) if len(self._apart[1]) else 0.0
+        if apart <= self._zero:
+            return ()
+        return (
+            f"{self.stage}: its zero differs between recordings by {apart:.2g} {self.unit}, which no effect explains "
+            "and the gap leaves out; set the zero against a stop at each start, not in a pose that friction holds",
         )
 
     @property
@@ -289,13 +326,18 @@ class JointView(RigView):
 
     def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
         """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
+        raw = self._raw_gap(point, other)
+        return (raw + self._zeros_apart(raw) @ self._apart[0])[:, None]
+
+    def _raw_gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
+        """Return the gap [M] with one zero for all recordings."""
         law, drives, paths = self._prepared(point, other)
         parts = []
         for k, windows in enumerate(self._windows):
             left = self._left(k, windows, paths[k], law, drives[k])
             self._free_starts(k, left)
             parts.append(left)
-        return np.concatenate(parts)[:, None]
+        return np.concatenate(parts)
 
     def _prepared(self, point: Point, other: Sequence[Array] | None = None) -> tuple[Array, list[Array], list[Array]]:
         """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""

@@ -1,5 +1,6 @@
 """Effects of a joint found in an independently simulated mechanism, from recordings to the patched model."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -9,10 +10,13 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import Series
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.mjcf.view import JointView
+from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record, write
-from tests.diagnosis.rigs.recordings import SERVO, shipped
+from tests.diagnosis.rigs.recordings import SERVO, STAGES, shipped
 
 KINDS = ("multisine", "holds", "multisine")
 
@@ -46,6 +50,42 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
     assert more > 3 * left
 
 
+@pytest.fixture(scope="module")
+def swinging(tmp_path_factory):
+    """Three recordings of a cart that a pole hangs from."""
+    return tables.read(written(tmp_path_factory.mktemp("swinging"), "cartpole", {}))
+
+
+def with_zeros(trials, joint, zeros):
+    """Return a joint's trials whose readings of it are off by a zero for each recording."""
+    own = [trial for trial in trials if trial.stage.name == joint]
+    found = []
+    for trial, zero in zip(own, zeros, strict=True):
+        series = trial.channels["measured"]
+        moved = Series(series.t_s, {**series.columns, joint: series[joint] + zero})
+        found.append(replace(trial, channels={**trial.channels, "measured": moved}))
+    return found
+
+
+def test_zeros_that_differ_between_recordings_are_no_gap_but_their_mean_is(swinging):
+    """An encoder that is set to zero at each start: dry friction holds the pose at which it is set."""
+    apart, same = (0.02, -0.02, 0.0), (0.02, 0.02, 0.02)
+    right, differ, shifted = (
+        float(np.sqrt(np.nanmean(view_of(with_zeros(swinging, "hinge", zeros))[0].gap([{}]) ** 2)))
+        for zeros in ((0.0, 0.0, 0.0), apart, same)
+    )
+    assert right < differ < 0.2 * shifted
+
+
+def test_a_stretch_has_the_zero_of_its_recording(swinging):
+    trials = with_zeros(swinging, "hinge", (0.02, -0.02, 0.0))
+    stretches = [part for trial in trials for part in cut(trial, 0.5, 4)]
+    assert len(stretches) > 3
+    (warning,) = JointView(stretches).warnings_at({})
+    assert "differs between recordings by 0.04 rad" in warning
+    assert not JointView(with_zeros(swinging, "hinge", (0.02, 0.02, 0.02))).warnings_at({})
+
+
 @pytest.mark.prove
 def test_a_dead_band_is_named_at_its_joint_with_its_size(faulty):
     verdict = diagnose_table([t for t in tables.read(faulty) if t.stage.name == "tilt"], budget_s=4).verdict
@@ -68,18 +108,35 @@ def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     assert "for one stage.yaml of kind mujoco" in result.output
 
 
-def test_a_real_elbow_has_the_dry_friction_that_its_authors_found(data):
-    """Its authors give 0.078 N m times arctan(100 rate), at most 0.123 N m, and hardly any viscous friction."""
-    trials = [trial for trial in shipped("double-pendulum-mujoco.yaml", data) if trial.stage.name == "elbow"]
+@pytest.mark.parametrize(("joint", "zero", "theirs"), [("shoulder", -0.02, 0.146), ("elbow", 0.0, 0.123)])
+def test_a_real_joint_has_the_dry_friction_that_its_authors_found(data, joint, zero, theirs):
+    """Their law is arctan(100 rate), so `theirs` is the most; they give hardly any viscous friction."""
+    trials = [trial for trial in shipped("double-pendulum-mujoco.yaml", data) if trial.stage.name == joint]
     view, _ = view_of(trials)
 
     def left(path, values):
-        gaps = view.gap([{f"elbow.{path}": value} for value in values])
+        same = {f"{joint}.sensor_bias.bias": zero, f"{joint}.coulomb_friction.give": 0.0}
+        gaps = view.gap([{f"{joint}.{path}": value, **same} for value in values])
         return np.sqrt(np.nanmean(gaps**2, axis=(1, 2)))
 
-    dry, viscous = (0.0, 0.1, 0.123, 0.15), (0.01, 0.02, 0.03)
+    dry, viscous = (0.0, 0.1, 0.123, 0.146, 0.18), (0.01, 0.02, 0.03, 0.04)
     with_dry = left("coulomb_friction.torque", dry)
-    assert dry[int(np.argmin(with_dry))] == 0.123
-    assert with_dry.min() < 0.4 * with_dry[0]
+    assert dry[int(np.argmin(with_dry))] == theirs
+    assert with_dry.min() < 0.5 * with_dry[0]
     assert with_dry.min() < 0.8 * left("damping.viscous", viscous).min()
     assert not view.warnings  # the other joint's accelerations are known between the samples
+
+
+@pytest.mark.prove
+@pytest.mark.timeout(900)
+def test_the_command_line_names_the_dry_friction_of_a_real_double_pendulum(data, tmp_path):
+    """Its authors give at most 0.146 and 0.123 N m, and hardly any viscous friction."""
+    stage, verdict = STAGES / "double-pendulum-mujoco.yaml", tmp_path / "verdict.json"
+    command = ["diagnose", str(stage), "--data", str(data), "--json", str(verdict)]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.output
+    named = {each["name"]: each["parameters"] for each in json.loads(verdict.read_text())["effects"]}
+    assert not {"shoulder.damping", "elbow.damping"} & set(named)
+    for joint, theirs in (("shoulder", 0.146), ("elbow", 0.123)):
+        torque = named[f"{joint}.coulomb_friction"]["torque"]
+        assert torque["low"] <= theirs <= torque["high"]
