@@ -41,7 +41,7 @@ def prose(file: Path) -> Iterator[str]:
 
 def is_present(path: str) -> bool:
     """Return whether a path, absolute or relative to any folder, exists in the repository, or is no path at all."""
-    path = path.removeprefix("softarm/")
+    path = path.removeprefix("../").removeprefix("softarm/")
     if not path.endswith(".py") and path.partition("/")[0] not in TOP:
         return True  # another project's path, or a unit such as m/s
     return path in ENDS
