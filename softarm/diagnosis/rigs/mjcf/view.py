@@ -125,24 +125,20 @@ class JointView(RigView):
         """Error of a good zero, rad or m."""
         return ZERO_RAD if self._joint.turns else ZERO_SHARE * self._scales.travel
 
-    def _zeros(self, recordings: Sequence[str]) -> tuple[Array, Array]:
-        """Return how the gap changes with the zero of each recording, per rad or m, [K, M], and their squares [K].
-
-        There are none for a single recording, and for a joint without a load.
-        """
+    def _zeros(self, recordings: Sequence[str]) -> tuple[NDArray[np.int64], Array, Array]:
+        """Return each sample's recording [M], the gap's change with a zero, per rad or m [M], and its squares [K]."""
         names = list(dict.fromkeys(recordings))
-        if len(names) < 2 or not self._scales.load:
-            return np.zeros((0, len(self.trial))), np.zeros(0)
         of = np.array([names.index(name) for name in recordings])[self.trial]
-        change = np.nan_to_num(self._raw_gap({f"{self.stage}.sensor_bias.bias": self._zero}) - self._raw_gap({}))
-        columns = (of == np.arange(len(names))[:, None]) * change / self._zero
-        return columns, (columns**2).sum(axis=1) + (self.floor[0] / (ZERO_APART * self._zero)) ** 2
+        moved = self._raw_gap({f"{self.stage}.sensor_bias.bias": self._zero})
+        change = np.nan_to_num(moved - self._raw_gap({})) / self._zero
+        return of, change, np.maximum(np.bincount(of, change**2), 1e-30)
 
     def _zeros_apart(self, raw: Array) -> Array:
         """Return the zero of each recording beside their mean that explains values [M] best, rad or m, [K]."""
-        columns, squares = self._apart
-        products = -columns @ np.nan_to_num(raw)
-        return np.asarray(products / squares - products.sum() / max(squares.sum(), 1e-30))
+        of, change, squares = self._apart
+        products = -np.bincount(of, change * np.nan_to_num(raw))
+        most = ZERO_APART * self._zero
+        return np.asarray(np.clip(products / squares - products.sum() / squares.sum(), -most, most))
 
     def _free_starts(self, k: int, left: Array) -> None:
         """Remove from a trial's values [T] what a change of its windows' starts explains."""
@@ -291,8 +287,9 @@ class JointView(RigView):
 
     def warnings_at(self, point: Point) -> tuple[str, ...]:
         """Return a warning about zeros that differ between recordings."""
-        apart = float(np.ptp(self._zeros_apart(self._raw_gap(point)))) if len(self._apart[1]) else 0.0
-        if apart <= self._zero:
+        zeros = self._zeros_apart(self._raw_gap(point))
+        apart = float(np.ptp(zeros))
+        if apart <= self._zero or np.abs(zeros).max() >= ZERO_APART * self._zero:  # the latter is no zero
             return ()
         return (
             f"{self.stage}: its zero differs between recordings by {apart:.2g} {self.unit}, which no effect explains "
@@ -327,7 +324,8 @@ class JointView(RigView):
     def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
         """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
         raw = self._raw_gap(point, other)
-        return (raw + self._zeros_apart(raw) @ self._apart[0])[:, None]
+        of, change, _ = self._apart
+        return (raw + self._zeros_apart(raw)[of] * change)[:, None]
 
     def _raw_gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
         """Return the gap [M] with one zero for all recordings."""

@@ -77,6 +77,12 @@ def test_zeros_that_differ_between_recordings_are_no_gap_but_their_mean_is(swing
     assert right < differ < 0.2 * shifted
 
 
+def test_a_difference_that_no_zero_has_stays_a_gap(swinging):
+    view = JointView(with_zeros(swinging, "hinge", (0.3, -0.3, 0.0)))
+    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) > 0.1
+    assert not view.warnings_at({})
+
+
 def test_a_stretch_has_the_zero_of_its_recording(swinging):
     trials = with_zeros(swinging, "hinge", (0.02, -0.02, 0.0))
     stretches = [part for trial in trials for part in cut(trial, 0.5, 4)]
