@@ -52,6 +52,7 @@ class JointScales:
     load: float  # largest torque of the weight and of the other joints' motion
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
+    reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
     inertia: float  # of the joint
     speed: float
     travel: float  # peak to peak
@@ -223,11 +224,13 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             name="mass",
         )
     if math.isfinite(s.payload):
+        place = shape("distance", "m", s.reach, 0.0, 2 * s.reach, s.reach, "from the last joint, along its link")
         yield like(
             "arm.payload",
             "extra mass at the end of the mechanism",
             "{mass} extra hang at the end, behind {stage}",
-            strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point at the last body's centre"),
+            strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point on the last link"),
+            *((place,) if s.reach else ()),
         )
     own = s.joint.spring
     top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel

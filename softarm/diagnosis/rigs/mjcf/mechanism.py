@@ -18,6 +18,8 @@ from softarm.diagnosis.rigs.laws import joint as law
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
+# Distance of a link's centre of mass from its joint below which the link is balanced.
+LINK_SHORTEST_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +71,23 @@ class Change:
     """Change of the rigid bodies behind a joint."""
 
     mass_share: float = 0.0  # of all masses and inertias behind the joint
-    payload_kg: float = 0.0  # point mass at the centre of the joint's last body
+    payload_kg: float = 0.0  # point mass on the line of the joint's last link
+    payload_m: float = 0.0  # its distance from the start of that link
     body: str = ""  # mass_share is that of this body alone
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Rigid link at the end of a mechanism, in the frame of the body that its joint carries."""
+
+    body: str
+    start: Array  # [3] place of the joint, m
+    direction: Array  # [3] unit vector towards the link's centre of mass
+    centre_m: float  # distance of the centre of mass from the start; 0 for a balanced link
+
+    def place(self, distance_m: float) -> Array:
+        """Return the place at a distance from the start, [3]."""
+        return self.start + distance_m * self.direction
 
 
 class Mechanism:
@@ -144,6 +161,21 @@ class Mechanism:
             found[:, k] = inertia, zero, by_position, by_speed
         return found
 
+    def last_link(self, joint: Joint) -> Link:
+        """Return the link at the end of the mechanism behind a joint."""
+        model, data = self.model, self._mujoco.MjData(self.model)
+        self._mujoco.mj_forward(model, data)
+        root = int(model.body_weldid[self._body(joint.end)])
+        parts = [i for i in range(model.nbody) if model.body_weldid[i] == root]
+        mass = model.body_mass[parts]
+        centre = mass @ data.xipos[parts] / max(float(mass.sum()), 1e-12)
+        start = model.jnt_pos[model.body_jntadr[root] + model.body_jntnum[root] - 1]
+        reach = data.xmat[root].reshape(3, 3).T @ (centre - data.xpos[root]) - start
+        distance = float(np.linalg.norm(reach))
+        if distance < LINK_SHORTEST_M:
+            return Link(self._name("body", root), start + reach, np.zeros(3), 0.0)
+        return Link(self._name("body", root), start.copy(), reach / distance, distance)
+
     def touching(self, motion: Mapping[str, Sequence[Array]]) -> NDArray[np.bool_]:
         """Return whether bodies touch at each sample of a measured motion, [T]."""
         mujoco, model = self._mujoco, self.model
@@ -172,9 +204,27 @@ class Mechanism:
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
         if change.payload_kg:
-            model.body_mass[self._body(joint.end)] += change.payload_kg
+            link = self.last_link(joint)
+            self._load(model, self._body(link.body), change.payload_kg, link.place(change.payload_m))
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         return model
+
+    def _load(self, model: Any, body: int, mass_kg: float, place: Array) -> None:
+        """Add a point mass to a body of a model, at a place in the body's frame, [3]."""
+        axes, own, centre = np.zeros(9), float(model.body_mass[body]), model.body_ipos[body].copy()
+        self._mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+        frame = axes.reshape(3, 3)
+        inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
+        common = (own * centre + mass_kg * place) / (own + mass_kg)
+        for mass, arm in ((own, centre - common), (mass_kg, place - common)):
+            inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        principal, frame = np.linalg.eigh(inertia)
+        frame[:, 0] *= np.sign(np.linalg.det(frame))
+        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + mass_kg, common, principal
+        self._mujoco.mju_mat2Quat(model.body_iquat[body], frame.ravel())
+        # The body's inertia is no longer aligned with its frame.
+        model.body_sameframe[body] = model.body_simple[body] = 0
+        model.dof_simplenum[:] = 0
 
     def _behind(self, dof: int) -> list[int]:
         """Return the bodies that a joint moves."""

@@ -22,6 +22,7 @@ _JOINT = {
 }
 _ACTUATORS = ("position", "velocity", "motor", "general", "intvelocity", "damper", "cylinder", "muscle", "adhesion")
 _DIGITS = 6
+_POINT_KG_M2 = "1e-9"  # inertia of a point mass: MuJoCo refuses zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
         return None
     before = path.read_text()
     model, edits, left_out = mechanism(path), _Edits(before), []
-    payloads: dict[str, list[float]] = {}
+    payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
     for place, value in sorted(found.items()):
         name, _, parameter = place.partition(".")
@@ -56,15 +57,19 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
         if parameter.startswith("mass_"):
             shares.setdefault(parameter.removeprefix("mass_"), []).append(value)
         elif parameter == "payload.mass":
-            payloads.setdefault(joint.end, []).append(value)
+            link = model.last_link(joint)
+            at = link.place(found.get(f"{name}.payload.distance", 0.0))
+            payloads.setdefault(link.body, []).append((value, *at))
+        elif parameter == "payload.distance":
+            continue
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
     for body, values in shares.items():  # several joints weigh the same body
         edits.change_mass(body, factor=1 + float(np.mean(values)))
-    for body, values in payloads.items():
-        mass = float(np.mean(values))
-        if not edits.change_mass(body, more_kg=mass):
-            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at body {body}, which has no `inertial` element")
+    for body, loads in payloads.items():
+        mass, *at = np.mean(loads, axis=0)
+        if not edits.add_point_mass(body, float(mass), at):
+            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
     after = edits.text
     lines = difflib.unified_diff(
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
@@ -118,18 +123,30 @@ class _Edits:
         self.text = self.text[:start] + tag + self.text[end:]
         return True
 
-    def change_mass(self, body: str, factor: float = 1.0, more_kg: float = 0.0) -> bool:
-        """Change the mass of a body, and its inertia by the factor; return False if it has no `inertial` element."""
+    def change_mass(self, body: str, factor: float) -> None:
+        """Multiply mass and inertia of a body that has an `inertial` element."""
         place = self._place(("inertial",), body, inside=True)
         if place is None:
-            return False
+            return
         tag = self.text[place[0] : place[1]]
         for name in ("mass", "diaginertia", "fullinertia"):
             if old := _attribute(tag, name):
-                numbers = [factor * float(x) + (more_kg if name == "mass" else 0.0) for x in old[3].split()]
-                if factor != 1.0 or name == "mass":
-                    tag = f"{tag[: old.start(3)]}{' '.join(map(_short, numbers))}{tag[old.end(3) :]}"
+                numbers = [factor * float(x) for x in old[3].split()]
+                tag = f"{tag[: old.start(3)]}{' '.join(map(_short, numbers))}{tag[old.end(3) :]}"
         self.text = f"{self.text[: place[0]]}{tag}{self.text[place[1] :]}"
+
+    def add_point_mass(self, body: str, mass_kg: float, at: Iterable[float]) -> bool:
+        """Add a body without a joint to a named one, at a place in its frame, [3]; return False without such a name."""
+        place = self._place(("body",), body, inside=False)
+        if place is None:
+            return False
+        start, end, _ = place
+        indent = self.text[self.text.rfind("\n", 0, start) + 1 : start] + "  "
+        more = (
+            f'<body name="{body}_payload" pos="{" ".join(map(_short, at))}">'
+            f'<inertial pos="0 0 0" mass="{_short(mass_kg)}" diaginertia="{" ".join([_POINT_KG_M2] * 3)}"/></body>'
+        )
+        self.text = f"{self.text[:end]}\n{indent}{more}{self.text[end:]}"
         return True
 
     def kind(self, tags: Iterable[str], name: str) -> str | None:

@@ -75,6 +75,8 @@ class JointView(RigView):
         limit = _acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
+        centre_m = self._mechanism.last_link(joint).centre_m
+        self._distances = (0.0, centre_m, 2 * centre_m) if centre_m else (0.0,)
         self._terms = [self._slopes(around) for around in self._around]
         self._refuse_mistakes(trials)
         self._scales = scales = self._measure(step)
@@ -181,12 +183,22 @@ class JointView(RigView):
         return found
 
     def _slopes(self, around: Mapping[str, tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-        """Return the rigid-body terms [ROWS, T] and their changes per share of mass and per kg of payload."""
+        """Return the rigid-body terms [ROWS, T], and their changes per share of mass and per kg of payload.
+
+        The changes by a payload [D, ROWS, T] are those at each of the view's distances.
+        """
         terms, joint = self._mechanism.terms, self._joint
         base = terms(joint, around)
         heavier = terms(joint, around, Change(mass_share=MASS_STEP))
-        loaded = terms(joint, around, Change(payload_kg=PAYLOAD_STEP_KG))
-        return base, (heavier - base) / MASS_STEP, (loaded - base) / PAYLOAD_STEP_KG
+        loads = [Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance) for distance in self._distances]
+        loaded = np.stack([terms(joint, around, load) - base for load in loads]) / PAYLOAD_STEP_KG
+        return base, (heavier - base) / MASS_STEP, loaded
+
+    def _payload(self, loaded: Array, distance: float) -> Array:
+        """Return the change of the terms per kg at a distance, [ROWS, T]: a parabola, as for any rigid body."""
+        nodes = self._distances
+        weights = [np.prod([(distance - b) / (a - b) for b in nodes if b != a]) for a in nodes]
+        return np.asarray(np.tensordot(weights, loaded, 1))
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
@@ -211,7 +223,8 @@ class JointView(RigView):
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
         pairs = [*zip(found, self._terms, strict=True)]
-        needed = [np.concatenate([_torque(terms[i], m) for m, terms in pairs]) for i in range(3)]
+        needed = [np.concatenate([_torque(terms[i], m) for m, terms in pairs]) for i in range(2)]
+        needed.append(np.concatenate([_torque(terms[2][-1], m) for m, terms in pairs]))
         torque, load = np.abs(needed[0]), np.abs(np.concatenate([_load(base, m) for m, (base, *_) in pairs]))
         rms = [float(np.sqrt(np.mean(x**2))) for x in needed]
         inertia = float(np.mean(np.concatenate([base[laws.INERTIA] for base, *_ in self._terms])))
@@ -225,6 +238,7 @@ class JointView(RigView):
             load=float(np.quantile(load, 0.995)) * (float(np.max(load)) > FELT * float(np.max(torque))),
             mass=float(rms[1] > FELT * rms[0]),
             payload=rms[0] / rms[2] if rms[2] > FELT * rms[0] else np.inf,
+            reach=self._distances[-1],
             inertia=inertia,
             speed=max(speed, 1e-9),
             travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
@@ -341,8 +355,9 @@ class JointView(RigView):
         """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""
         at = {path: self.value(point, path) for path in self._known}
         share, mass = at.get("mass.scale", 0.0), at.get("payload.mass", 0.0)
+        distance = at.get("payload.distance", 0.0)
         paths = [
-            (base if other is None else other[k]) + share * heavier + mass * loaded
+            (base if other is None else other[k]) + share * heavier + mass * self._payload(loaded, distance)
             for k, (base, heavier, loaded) in enumerate(self._terms)
         ]
         delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)

@@ -2,7 +2,10 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record, write
 from tests.diagnosis.rigs.recordings import SERVO, STAGES, shipped
 
+EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
 KINDS = ("multisine", "holds", "multisine")
 
 
@@ -146,3 +150,30 @@ def test_the_command_line_names_the_dry_friction_of_a_real_double_pendulum(data,
     for joint, theirs in (("shoulder", 0.146), ("elbow", 0.123)):
         torque = named[f"{joint}.coulomb_friction"]["torque"]
         assert torque["low"] <= theirs <= torque["high"]
+
+
+def test_a_payload_at_the_tip_explains_the_gap_at_its_own_distance(tmp_path):
+    """The forearm's centre of mass is 0.125 m from the elbow, its tip 0.25 m."""
+    shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
+    model, nominal = tmp_path / "robot.xml", (EXAMPLE / "robot.xml").read_text()
+    load = '<body pos="0 0 -0.25"><inertial pos="0 0 0" mass="0.12" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    place = '<joint name="elbow" range="-2 2"/>'
+    assert place in nominal
+    model.write_text(nominal.replace(place, '<joint name="elbow" range="-2 2" frictionloss="0.05"/>' + load))
+    script = (EXAMPLE / "record.py").read_text().replace("HIDDEN_FRICTION_NM = 0.20", "HIDDEN_FRICTION_NM = 0.05")
+    (tmp_path / "record.py").write_text(script)
+    subprocess.run([sys.executable, "record.py", "recordings"], cwd=tmp_path, check=True)
+    model.write_text(nominal)
+    result = CliRunner().invoke(
+        main, ["new", "rig", str(model), str(tmp_path / "recordings"), "--out", str(tmp_path / "stage.yaml")]
+    )
+    assert result.exit_code == 0, result.output
+    trials = [trial for trial in tables.read(tmp_path / "stage.yaml") if trial.stage.name == "elbow"]
+    view, _ = view_of(trials)
+
+    def left(kg, m):
+        return np.sqrt(np.nanmean(view.gap([{"elbow.payload.mass": kg, "elbow.payload.distance": m}]) ** 2))
+
+    at_tip, at_centre = left(0.12, 0.25), min(left(kg, 0.125) for kg in (0.12, 0.24, 0.36, 0.48))
+    assert at_tip < 0.25 * left(0.0, 0.25)
+    assert at_tip < 0.5 * at_centre

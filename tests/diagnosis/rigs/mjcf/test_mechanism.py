@@ -1,5 +1,7 @@
 """Rigid-body terms, actuators and refusals of a MuJoCo model."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -75,6 +77,20 @@ def test_masses_behind_a_joint_and_a_payload_change_its_terms_linearly(arm, moti
     heavier = arm.terms(joint, motion, Change(mass_share=0.1))
     own, more = (terms[laws.INERTIA] - joint.armature for terms in (base, heavier))
     assert more == pytest.approx(1.1 * own, rel=1e-6)
+
+
+def test_a_payload_at_a_distance_is_a_point_mass_in_mujoco(arm, motion, tmp_path):
+    joint = arm.joint("elbow")
+    link, change = arm.last_link(joint), Change(payload_kg=0.15, payload_m=0.11)
+    x, y, z = link.place(change.payload_m)
+    mass = f'<body pos="{x} {y} {z}"><inertial pos="0 0 0" mass="0.15" diaginertia="1e-12 1e-12 1e-12"/></body>'
+    text = arm.path.read_text()
+    (tag,) = re.findall(rf'<body name="{link.body}"[^>]*>', text)
+    (tmp_path / "loaded.xml").write_text(text.replace(tag, tag + mass))
+    loaded = Mechanism(tmp_path / "loaded.xml")
+    assert arm.terms(joint, motion, change) == pytest.approx(
+        loaded.terms(loaded.joint("elbow"), motion), rel=1e-6, abs=1e-8
+    )
 
 
 def test_an_actuator_is_read_in_the_units_of_its_joint():

@@ -1,6 +1,7 @@
 """The patched MJCF: only the named attributes change, and MuJoCo reads the new numbers."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from softarm.diagnosis.rigs.mjcf import patch
@@ -47,9 +48,19 @@ def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path)
 
 
 def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
-    payloads = [("elbow.payload.mass", 0.1, "kg"), ("shoulder.payload.mass", 0.12, "kg")]
+    payloads = [
+        ("elbow.payload.mass", 0.1, "kg"),
+        ("elbow.payload.distance", 0.10, "m"),
+        ("shoulder.payload.mass", 0.12, "kg"),
+        ("shoulder.payload.distance", 0.14, "m"),
+    ]
     found = patch.patched(ARM, verdict(payloads), calibration=True)
-    assert read(found, tmp_path).body("tool").mass[0] == pytest.approx(0.08 + 0.11)
+    assert not found.left_out
+    before, after = mujoco.MjModel.from_xml_path(str(ARM)), read(found, tmp_path)
+    (added,) = {after.body(i).name for i in range(after.nbody)} - {before.body(i).name for i in range(before.nbody)}
+    assert after.body(added).mass[0] == pytest.approx(0.11)
+    assert np.linalg.norm(after.body(added).pos) == pytest.approx(0.12, abs=1e-6)
+    assert after.body_mass.sum() == pytest.approx(before.body_mass.sum() + 0.11)
 
 
 def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
