@@ -9,7 +9,6 @@ from softarm.daemon.play import length_s, play, play_simulated
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.drivers.base import WithoutWire
 from softarm.policies.base import PolicyError
-from softarm.policies.excite import LEAD_IN_S
 from softarm.schemas import excitation
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame
@@ -17,9 +16,10 @@ from softarm.schemas.messages import MocapFrame
 
 @pytest.fixture
 def config(tmp_path, monkeypatch) -> Config:
-    """Return a configuration with an excitation of one second."""
+    """Return a configuration with an excitation of one second after a lead-in of half a second."""
     short = excitation.Excitation("short", "half a bend", (excitation.Ramp(1.0, 0.0, 8.0),))
     monkeypatch.setitem(excitation.EXCITATIONS, "short", short)
+    monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
     return Config.model_validate({"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}})
 
 
@@ -38,7 +38,7 @@ def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
     status, path = play_simulated(config, "short", None, reported.append)
     assert status.state == "reached"
     assert reported[-1] == status.time_s == pytest.approx(length_s(config, "short"), abs=0.05)
-    assert length_s(config, "short") == pytest.approx(LEAD_IN_S + 1.0)
+    assert length_s(config, "short") == pytest.approx(1.5)
     log = logs.read(path)
     assert log.finished
     assert log.config.control.policy == "excite-short"
@@ -46,7 +46,6 @@ def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
     assert [outputs.mode for _, outputs in log.ticks()][-1] != "armed"
 
 
-# Over 3 s: lead-in and excitation in real time.
 @pytest.mark.realtime
 def test_live_playback_arms_and_plays(config):
     status, path = play(config, "short", simulated_devices(), lambda time_s: None)

@@ -186,9 +186,10 @@ def row(page):
 
 @pytest.fixture
 def short(monkeypatch):
-    """Add an excitation of half a second."""
+    """Add an excitation of half a second after a lead-in as long."""
     made = excitation.Excitation("short", "half a bend", (excitation.Ramp(0.5, 0.0, 8.0),))
     monkeypatch.setitem(excitation.EXCITATIONS, "short", made)
+    monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
 
 
 def test_an_excitation_is_played_and_recorded_and_the_policy_stays(page, robot, daemon, short):
