@@ -40,7 +40,9 @@ def first_of_equals(search: "Search", chosen: Fit, null_model: Fit) -> tuple[Fit
     if not chosen.effects:
         return chosen, ()
     others = _fitted(search, chosen, null_model, len(chosen.effects))
-    first = _simplest(search, [chosen, *others, *_exchanged(search, chosen, null_model)])
+    less = search.without_each(chosen, null_model)
+    exchanged = [fit for each in less for fit in search.extended(each, chosen.names) if search.is_nameable(fit)]
+    first = _simplest(search, [chosen, *others, *exchanged])
     if first is not chosen:
         others = _fitted(search, first, null_model, len(first.effects))
     whole = search.gain(null_model, first)
@@ -56,18 +58,12 @@ def _simplest(search: "Search", fits: Sequence[Fit]) -> Fit:
     """
     order = [each.name for each in search.candidates]
     best = min(fits, key=search.loss)
-    alike = [fit for fit in fits if search.is_noise(search.gain(fit, best))]
-    fewest = min(len(fit.x) for fit in alike)
-    simple = [fit for fit in alike if len(fit.x) == fewest]
+    lacks = [search.gain(fit, best) for fit in fits]
+    alike = [f for f, g in zip(fits, lacks, strict=True) if g.low <= 0 and g.value <= search.thresholds.gain.loss_min]
+    simple = [fit for fit in alike if len(fit.x) == min(len(each.x) for each in alike)]
     least = min(map(search.loss, simple))
     same = [fit for fit in simple if search.loss(fit) < least + EQUAL]
     return min(same, key=lambda fit: (sorted(map(order.index, fit.names)), search.loss(fit)))
-
-
-def _exchanged(search: "Search", chosen: Fit, null_model: Fit) -> list[Fit]:
-    """Return fits with one other effect in place of one of the chosen, without those that may not be named."""
-    less = search.without_each(chosen, null_model)
-    return [fit for each in less for fit in search.extended(each, chosen.names) if search.is_nameable(fit)]
 
 
 def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[Fit]:

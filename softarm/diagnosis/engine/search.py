@@ -195,10 +195,6 @@ class Search:
         enough = gain.low > 0 and gain.value > self.thresholds.gain.loss_min
         return enough and any(self._is_visible(gain, stage) for stage in gain.shares)
 
-    def is_noise(self, gain: Gain) -> bool:
-        """Return whether a gain may be chance, and is too small to matter."""
-        return gain.low <= 0 and gain.value <= self.thresholds.gain.loss_min
-
     def is_nameable(self, fit: Fit, gain: Gain | None = None) -> bool:
         """Return whether a set's effects may be named: large enough, and none at a bound.
 

@@ -314,7 +314,7 @@ class _Stage:
         return found
 
     def _warnings(self) -> list[str]:
-        stage, found = self.view.stage, [*self.view.warnings, *self.view.warnings_at(self.fit.point)]
+        stage, found = self.view.stage, list(self.view.warnings(self.fit.point))
         how: HeldOut = self.found.setup.held_out
         if self.decision.selected and _WEAK_HELD_OUT[how]:
             found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")

@@ -122,13 +122,8 @@ class RigView:
         """Processor time that a search takes per rollout, s, on the computer of `step_cost_s`."""
         return self.step_cost_s * self._each * len(self.t_s)
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about the data, for the reader of the verdict."""
-        return ()
-
-    def warnings_at(self, point: Point) -> tuple[str, ...]:
-        """Return warnings about the data that need the named effects, at a point with these."""
+    def warnings(self, point: Point) -> tuple[str, ...]:
+        """Return warnings about the data, for the reader of the verdict with the effects of a point."""
         return ()
 
     @property

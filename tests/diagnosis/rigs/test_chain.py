@@ -226,7 +226,7 @@ def test_windows_with_a_link_over_the_top_are_left_out_with_a_warning():
     out = [s.name for k, s in enumerate(parts) if not np.isfinite(found.measured[found.trial == k]).any()]
     assert out
     assert all(name.startswith("strong") for name in out)
-    assert any(f"{len(out)} of {len(parts)} windows are left out" in text for text in found.warnings)
+    assert any(f"{len(out)} of {len(parts)} windows are left out" in text for text in found.warnings({}))
 
 
 def over_the_top(beyond, trials=4):
@@ -272,7 +272,7 @@ def test_a_missing_row_at_a_torque_jump_excludes_the_window(late_rows):
         k for k, s in enumerate(parts) if s.channels["measured"].t_s[0] <= t[jump] <= s.channels["measured"].t_s[-1]
     ]
     assert out == ([] if late_rows else inside)
-    said = [w for w in found.warnings if f"1 of {len(parts)} windows are left out" in w and "rows are missing" in w]
+    said = [w for w in found.warnings({}) if f"1 of {len(parts)} windows are left out" in w and "rows are missing" in w]
     assert bool(said) != bool(late_rows)
 
 

@@ -108,9 +108,8 @@ class ChainView(RigView):
         free = chain.n == 1 and "torque" not in trial.channels
         return _cut(trial, (WINDOW_PERIODS_FREE if free else WINDOW_PERIODS) * slowest, MARGIN_PERIODS * slowest)
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about windows that are left out."""
+    def warnings(self, point: Point) -> tuple[str, ...]:
+        """Return warnings about windows that are left out."""
         reasons = {
             "rows are missing where the torque changes, which moves the swing; log every row": self._lost,
             "small errors of the model change the swing by much; drive it with less torque": self._unstable,

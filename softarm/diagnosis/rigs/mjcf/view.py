@@ -288,27 +288,21 @@ class JointView(RigView):
             own["command_bias.bias"] = self._zero
         return own
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warning about samples that depend on motion of the other joints between samples."""
-        if self._unsure <= UNSURE_WARNED:
-            return ()
-        done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
-        return (
-            f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples and "
-            f"are {done}; record at a higher rate, or move fewer joints at once",
-        )
-
-    def warnings_at(self, point: Point) -> tuple[str, ...]:
-        """Return a warning about zeros that differ between recordings."""
-        zeros = self._zeros_apart(self._raw_gap(point))
-        apart = float(np.ptp(zeros))
-        if apart <= self._zero or np.abs(zeros).max() >= ZERO_APART * self._zero:  # the latter is no zero
-            return ()
-        return (
-            f"{self.stage}: its zero differs between recordings by {apart:.2g} {self.unit}, which no effect explains "
-            "and the gap leaves out; set the zero against a stop at each start, not in a pose that friction holds",
-        )
+    def warnings(self, point: Point) -> tuple[str, ...]:
+        """Return warnings about motion of other joints between samples, and about zeros that differ."""
+        zeros, found = self._zeros_apart(self._raw_gap(point)), []
+        if self._unsure > UNSURE_WARNED:
+            done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
+            found.append(
+                f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples "
+                f"and are {done}; record at a higher rate, or move fewer joints at once"
+            )
+        if (apart := np.ptp(zeros)) > self._zero and np.abs(zeros).max() < ZERO_APART * self._zero:
+            found.append(
+                f"{self.stage}: its zero differs between recordings by {apart:.2g} {self.unit}; no effect explains it, "
+                "and the gap leaves out; set the zero against a stop at each start, not in a pose that friction holds"
+            )
+        return tuple(found)
 
     @property
     def model_uncertainty(self) -> Mapping[str, float]:

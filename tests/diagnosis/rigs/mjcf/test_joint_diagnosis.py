@@ -84,16 +84,16 @@ def test_zeros_that_differ_between_recordings_are_no_gap_but_their_mean_is(swing
 def test_a_difference_that_no_zero_has_stays_a_gap(swinging):
     view = JointView(with_zeros(swinging, "hinge", (0.3, -0.3, 0.0)))
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) > 0.1
-    assert not view.warnings_at({})
+    assert not any("zero" in warning for warning in view.warnings({}))
 
 
 def test_a_stretch_has_the_zero_of_its_recording(swinging):
     trials = with_zeros(swinging, "hinge", (0.02, -0.02, 0.0))
     stretches = [part for trial in trials for part in cut(trial, 0.5, 4)]
     assert len(stretches) > 3
-    (warning,) = JointView(stretches).warnings_at({})
+    (warning,) = (each for each in JointView(stretches).warnings({}) if "zero" in each)
     assert "differs between recordings by 0.04 rad" in warning
-    assert not JointView(with_zeros(swinging, "hinge", (0.02, 0.02, 0.02))).warnings_at({})
+    assert "zero" not in str(JointView(with_zeros(swinging, "hinge", (0.02, 0.02, 0.02))).warnings({}))
 
 
 @pytest.mark.prove
@@ -134,7 +134,8 @@ def test_a_real_joint_has_the_dry_friction_that_its_authors_found(data, joint, z
     assert dry[int(np.argmin(with_dry))] == theirs
     assert with_dry.min() < 0.5 * with_dry[0]
     assert with_dry.min() < 0.8 * left("damping.viscous", viscous).min()
-    assert not view.warnings  # the other joint's accelerations are known between the samples
+    unsure = [warning for warning in view.warnings({}) if "between two samples" in warning]
+    assert not unsure  # the other joint's accelerations are known between the samples
 
 
 @pytest.mark.prove
