@@ -5,7 +5,6 @@ Python to a trace, and numba compiles the lines. The braking law thus runs on th
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-# mypy: allow-untyped-defs
 
 import functools
 from collections.abc import Callable

@@ -18,7 +18,7 @@ from softarm.training.learn import validation
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import checkpoint
+from softarm.training.record import checkpoint, curve
 from softarm.training.record.checkpoint import CheckpointError, TrainingConfig
 from softarm.training.record.export import export_checkpoint, onnx_model
 from softarm.training.run import recipe
@@ -66,11 +66,11 @@ def points(folder):
     return {tag: [(each.step, each.value) for each in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
 
 
-def stored(curve):
+def stored(rows):
     """Return the learning curve as TensorBoard stores it, in float32."""
     by_tag = {}
     for tag, column in curve.SCALARS.items():
-        values = [(row.frames, getattr(row, column)) for row in curve]
+        values = [(row.frames, getattr(row, column)) for row in rows]
         by_tag[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
     return {tag: values for tag, values in by_tag.items() if values}
 
