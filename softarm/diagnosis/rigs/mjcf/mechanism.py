@@ -97,12 +97,13 @@ class Mechanism:
         """Load an MJCF or URDF file.
 
         Raises:
-            TrialError: MuJoCo is missing, the file is invalid, or the model is a closed chain.
+            TrialError: MuJoCo is missing, the file is invalid, or the model has closed chains or muscles.
         """
         self.path, self._mujoco = path, _mujoco(path)
         self.model = _loaded(self._mujoco, path)
         self.step_s = float(self.model.opt.timestep)
         self._refuse_loops()
+        self._refuse_actuators()
         self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
@@ -269,10 +270,9 @@ class Mechanism:
         )
 
     def _actuator(self, number: int) -> Actuator | None:
-        """Return the actuator of a joint, or None; raise TrialError for one that is not affine in its command."""
+        """Return the actuator of a joint, or None; raise TrialError if there are several."""
         m, mujoco = self.model, self._mujoco
-        here = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        own = [i for i in range(m.nu) if m.actuator_trntype[i] in here and m.actuator_trnid[i, 0] == number]
+        own = [i for i in range(m.nu) if m.actuator_trnid[i, 0] == number]
         if not own:
             return None
         name, i = self._name("actuator", own[0]), own[0]
@@ -280,9 +280,8 @@ class Mechanism:
             others = ", ".join(self._name("actuator", k) for k in own)
             raise TrialError(
                 f"{self.path}: joint {self._name('joint', number)} has {len(own)} actuators ({others}); allowed is "
-                "one; join them, or leave the joint's column out"
+                "one; join them, or remove them from the model and give the joint's torque under `torque`"
             )
-        self._refuse_nonlinear(i)
         gear = float(m.actuator_gear[i, 0])
         bias = m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE))
         low, high = -np.inf, np.inf
@@ -307,17 +306,20 @@ class Mechanism:
             gear=gear,
         )
 
-    def _refuse_nonlinear(self, i: int) -> None:
-        """Raise TrialError for an actuator that is not affine in its command."""
+    def _refuse_actuators(self) -> None:
+        """Raise TrialError for an actuator that is not affine in its command, or that acts on no single joint."""
         m, gain, bias, dyn = self.model, self._mujoco.mjtGain, self._mujoco.mjtBias, self._mujoco.mjtDyn
-        affine = m.actuator_gaintype[i] == int(gain.mjGAIN_FIXED)
-        affine &= m.actuator_biastype[i] in map(int, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE))
-        affine &= m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT))
-        if not affine:
-            raise TrialError(
-                f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor general "
-                "actuator with fixed gain and affine bias; write it as one of these, or leave its joint's column out"
-            )
+        at_joint = (int(self._mujoco.mjtTrn.mjTRN_JOINT), int(self._mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        for i in range(m.nu):
+            affine = m.actuator_gaintype[i] == int(gain.mjGAIN_FIXED)
+            affine &= m.actuator_biastype[i] in map(int, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE))
+            affine &= m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT))
+            if not affine or m.actuator_trntype[i] not in at_joint:
+                raise TrialError(
+                    f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor "
+                    "general actuator of one joint with fixed gain and affine bias; write it as one of these, or "
+                    "remove it from the model and give the torques of its joints under `torque`"
+                )
 
 
 def mechanism(path: Path) -> Mechanism:

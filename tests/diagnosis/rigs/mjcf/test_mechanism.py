@@ -26,6 +26,13 @@ MUSCLE = """
   <actuator><muscle name="flexor" joint="one" lengthrange="0 1"/></actuator>
 </mujoco>
 """
+TENDON = """
+<mujoco>
+  <worldbody><body><joint name="one" type="hinge"/><geom size="0.1"/></body></worldbody>
+  <tendon><fixed name="cable"><joint joint="one" coef="0.1"/></fixed></tendon>
+  <actuator><motor name="winch" tendon="cable"/></actuator>
+</mujoco>
+"""
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +113,7 @@ def test_an_actuator_is_read_in_the_units_of_its_joint():
     [
         (LOOP, "closes a loop"),
         (MUSCLE, "flexor is neither a motor"),
+        (TENDON, "winch .* give the torques of its joints under `torque`"),
         ("<mujoco><worldbody><body></mujoco>", "cannot read the model"),
     ],
 )
