@@ -6,6 +6,7 @@ import pytest
 
 from softarm.daemon.runtime.jobs import Done
 from tests.daemon.dashboard import firefox
+from tests.processes import until
 
 pytestmark = pytest.mark.slow
 
@@ -47,8 +48,12 @@ def test_firefox_shows_a_swing_and_every_tab_and_stops(daemon, robot, tmp_path):
         page.until("document.querySelector('[aria-label=\"Show report job 1\"]')")
         page.evaluate("document.querySelector('[aria-label=\"Show report job 1\"]').click()")
         page.until("document.querySelector('iframe')")
-        page.click("iframe")
-        page.until("document.activeElement.tagName === 'BODY'")
+
+        def focus_is_back() -> bool:
+            page.click("iframe")  # again if the report had not loaded
+            return page.evaluate("document.activeElement.tagName === 'BODY'")
+
+        until(focus_is_back)
         page.press(" ")
         robot.until(lambda status: status["mode"] == "stopped")
         page.until("document.querySelector('#stopped').dataset.state === 'stopped'")
