@@ -18,6 +18,9 @@ _FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
 _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("armature", "gain", "hold still at several angles: a gain changes the torque there, an inertia does not"),
     ("armature", "mass", "hold still at several angles: only the weight shows there"),
+    ("length", "armature", "hold still at several angles: a longer link weighs more there"),
+    ("length", "mass", "measure the link, or swing the next joint alone: its pull grows with the length"),
+    ("length", "payload", "measure the link, or swing the next joint alone: its pull grows with the length"),
     ("mass", "payload", "hold still at several angles: a payload's arm is longer"),
     ("gain", "mass", "swing without torque, or another known mass: only one of them changes then"),
     ("coulomb_friction", "damping", "free decay: the swing falls linearly with dry friction"),
@@ -53,6 +56,7 @@ class JointScales:
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
+    carries: bool  # another joint follows, so that the length of the link matters
     inertia: float  # of the joint
     speed: float
     travel: float  # peak to peak
@@ -231,6 +235,14 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             "{mass} extra hang at the end, behind {stage}",
             strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point on the last link"),
             *((place,) if s.reach else ()),
+        )
+    if s.carries:
+        yield Effect(
+            "length",
+            (strength("scale", "-", 0.0, -0.5, 0.5, 0.1, "relative error of the distance to the next joint"),),
+            "the link has another length, with its mass as it is",
+            "geometry of the rigid body: a tape measure",
+            plain="the link of {stage} is {scale} longer",
         )
     own = s.joint.spring
     top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel

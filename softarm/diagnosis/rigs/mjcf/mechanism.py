@@ -73,6 +73,7 @@ class Change:
     mass_share: float = 0.0  # of all masses and inertias behind the joint
     payload_kg: float = 0.0  # point mass on the line of the joint's last link
     payload_m: float = 0.0  # its distance from the start of that link
+    length_share: float = 0.0  # of the link between the joint and the next one, with its mass as it is
     body: str = ""  # mass_share is that of this body alone
 
 
@@ -204,11 +205,30 @@ class Mechanism:
         bodies = [self._body(change.body)] if change.body else self._behind(joint.dof)
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
+        if change.length_share:
+            self._stretch(model, int(self.model.dof_bodyid[joint.dof]), 1 + change.length_share)
         if change.payload_kg:
             link = self.last_link(joint)
             self._load(model, self._body(link.body), change.payload_kg, link.place(change.payload_m))
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         return model
+
+    def carries(self, joint: Joint) -> bool:
+        """Return whether another joint follows behind a hinge, so that the length of its link matters."""
+        return joint.turns and len({int(self.model.body_weldid[self._body(name)]) for name in joint.bodies}) > 1
+
+    def _stretch(self, model: Any, body: int, factor: float) -> None:
+        """Move everything on the rigid link of a body, the next joints included, away from its joint."""
+        start = model.jnt_pos[model.body_jntadr[body] + model.body_jntnum[body] - 1]
+        for i in range(body, model.nbody):
+            if model.body_weldid[model.body_parentid[i]] == body:
+                model.body_pos[i] = start + factor * (model.body_pos[i] - start)
+            if model.body_weldid[i] == body:
+                origin = start if i == body else 0.0
+                model.body_ipos[i] = origin + factor * (model.body_ipos[i] - origin)
+                model.body_inertia[i] *= factor**2
+                model.body_sameframe[i] = model.body_simple[i] = 0
+        model.dof_simplenum[:] = 0
 
     def _load(self, model: Any, body: int, mass_kg: float, place: Array) -> None:
         """Add a point mass to a body of a model, at a place in the body's frame, [3]."""

@@ -1,6 +1,6 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +15,7 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, slopes
 from softarm.diagnosis.rigs.motion import (
     SLOW,
     STILL,
@@ -35,8 +36,6 @@ from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neu
 
 # Samples are averaged down to this rate: accelerations of coupled joints change within 5 ms.
 RATE_HZ = 500.0
-# Changes of the bodies at which the slopes of the rigid-body terms are taken.
-MASS_STEP, PAYLOAD_STEP_KG = 0.1, 0.05
 # Share of a load below which a mass has no effect.
 FELT = 1e-4
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
@@ -49,8 +48,8 @@ UNSURE_MOST = 0.5
 UNSURE_WARNED = 0.1
 # Margin to a joint's limit or a contact within which samples are left out, s.
 MARGIN_S = 0.05
-# Errors of a good nominal model: shares of its own values, of the usual torque, and of a command's step.
-OF_OWN, OF_FORCE, HELD_LATE = 0.025, 0.004, 0.5
+# Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
+OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
 # The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
 ZERO_APART = 20
@@ -75,9 +74,7 @@ class JointView(RigView):
         limit = _acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
-        centre_m = self._mechanism.last_link(joint).centre_m
-        self._distances = (0.0, centre_m, 2 * centre_m) if centre_m else (0.0,)
-        self._terms = [self._slopes(around) for around in self._around]
+        self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
         self._refuse_mistakes(trials)
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
@@ -182,30 +179,12 @@ class JointView(RigView):
                     found[name] = _differences(series, name, own.grid)
         return found
 
-    def _slopes(self, around: Mapping[str, tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-        """Return the rigid-body terms [ROWS, T], and their changes per share of mass and per kg of payload.
-
-        The changes by a payload [D, ROWS, T] are those at each of the view's distances.
-        """
-        terms, joint = self._mechanism.terms, self._joint
-        base = terms(joint, around)
-        heavier = terms(joint, around, Change(mass_share=MASS_STEP))
-        loads = [Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance) for distance in self._distances]
-        loaded = np.stack([terms(joint, around, load) - base for load in loads]) / PAYLOAD_STEP_KG
-        return base, (heavier - base) / MASS_STEP, loaded
-
-    def _payload(self, loaded: Array, distance: float) -> Array:
-        """Return the change of the terms per kg at a distance, [ROWS, T]: a parabola, as for any rigid body."""
-        nodes = self._distances
-        weights = [np.prod([(distance - b) / (a - b) for b in nodes if b != a]) for a in nodes]
-        return np.asarray(np.tensordot(weights, loaded, 1))
-
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
         joint, actuator = self._joint, self._actuator
         needed = [
-            _torque(base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
-            for m, (base, *_) in zip(self._motions, self._terms, strict=True)
+            _torque(terms.base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
+            for m, terms in zip(self._motions, self._terms, strict=True)
         ]
         seen, sent = np.concatenate([m.position for m in self._motions]), None
         if actuator is not None:
@@ -223,11 +202,15 @@ class JointView(RigView):
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
         pairs = [*zip(found, self._terms, strict=True)]
-        needed = [np.concatenate([_torque(terms[i], m) for m, terms in pairs]) for i in range(2)]
-        needed.append(np.concatenate([_torque(terms[2][-1], m) for m, terms in pairs]))
-        torque, load = np.abs(needed[0]), np.abs(np.concatenate([_load(base, m) for m, (base, *_) in pairs]))
+
+        def total(changes: Callable[[Slopes], Array]) -> Array:
+            return np.concatenate([_torque(changes(terms), m) for m, terms in pairs])
+
+        needed = [total(lambda x: x.base), total(lambda x: x.heavier), total(lambda x: x.loaded[-1])]
+        longer = total(lambda x: x.longer[-1]) if self._mechanism.carries(joint) else np.zeros(1)
+        torque, load = np.abs(needed[0]), np.abs(np.concatenate([_load(terms.base, m) for m, terms in pairs]))
         rms = [float(np.sqrt(np.mean(x**2))) for x in needed]
-        inertia = float(np.mean(np.concatenate([base[laws.INERTIA] for base, *_ in self._terms])))
+        inertia = float(np.mean(np.concatenate([terms.base[laws.INERTIA] for terms in self._terms])))
         floor = joint.viscous * speed + joint.dry  # a model without bodies needs this much at least
         return JointScales(
             joint=joint,
@@ -238,7 +221,8 @@ class JointView(RigView):
             load=float(np.quantile(load, 0.995)) * (float(np.max(load)) > FELT * float(np.max(torque))),
             mass=float(rms[1] > FELT * rms[0]),
             payload=rms[0] / rms[2] if rms[2] > FELT * rms[0] else np.inf,
-            reach=self._distances[-1],
+            reach=self._terms[0].distances_m[-1],
+            carries=float(np.sqrt(np.mean(longer**2))) > FELT * rms[0],
             inertia=inertia,
             speed=max(speed, 1e-9),
             travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
@@ -279,6 +263,7 @@ class JointView(RigView):
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
             "sensor_bias.bias": self._zero,
             "mass.scale": OF_OWN,
+            "length.scale": OF_LENGTH,
             "gain.scale": OF_OWN,
             "position_gain.scale": OF_OWN,
         }
@@ -348,12 +333,9 @@ class JointView(RigView):
     def _prepared(self, point: Point, other: Sequence[Array] | None = None) -> tuple[Array, list[Array], list[Array]]:
         """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""
         at = {path: self.value(point, path) for path in self._known}
-        share, mass = at.get("mass.scale", 0.0), at.get("payload.mass", 0.0)
-        distance = at.get("payload.distance", 0.0)
-        paths = [
-            (base if other is None else other[k]) + share * heavier + mass * self._payload(loaded, distance)
-            for k, (base, heavier, loaded) in enumerate(self._terms)
-        ]
+        changed = (at.get(path, 0.0) for path in ("mass.scale", "payload.mass", "payload.distance", "length.scale"))
+        body = BodyChange(*changed)
+        paths = [terms.at(body, None if other is None else other[k]) for k, terms in enumerate(self._terms)]
         delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
         factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
@@ -446,7 +428,7 @@ class JointView(RigView):
         t, v = m.grid.t_s, m.speed
         direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
         signals = {
-            "torque": _load(self._terms[k][0], m),
+            "torque": _load(self._terms[k].base, m),
             "speed": v,
             "direction": direction,
             "position": m.position,

@@ -1,0 +1,68 @@
+"""Changes of a joint's rigid-body terms with its bodies: masses, a payload, and the length of the joint's link."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, Joint, Mechanism
+
+# Changes at which the terms are computed.
+MASS_STEP, PAYLOAD_STEP_KG = 0.1, 0.05
+LENGTH_SHARES = (-0.1, 0.0, 0.1)
+
+
+class BodyChange(NamedTuple):
+    """Fitted change of the bodies behind a joint."""
+
+    mass_share: float
+    payload_kg: float
+    payload_m: float  # distance from the last joint
+    length_share: float
+
+
+class Slopes(NamedTuple):
+    """Rigid-body terms of a recording and their changes. Masses enter linearly, lengths as a parabola."""
+
+    base: Array  # [ROWS, T]
+    heavier: Array  # [ROWS, T] per share of mass
+    distances_m: tuple[float, ...]  # [D] places of a payload
+    loaded: Array  # [D, ROWS, T] per kg of a payload at each place
+    longer: Array  # [L, ROWS, T] at each of LENGTH_SHARES; [0, ROWS, T] if no joint follows on the link
+
+    def at(self, change: BodyChange, start: Array | None = None) -> Array:
+        """Return the terms with changed bodies, [ROWS, T]; start: terms to start from, instead of the base."""
+        found = (self.base if start is None else start) + change.mass_share * self.heavier
+        if change.payload_kg:
+            found = found + change.payload_kg * _interpolated(self.distances_m, self.loaded, change.payload_m)
+        if change.length_share:
+            found = found + _interpolated(LENGTH_SHARES, self.longer, change.length_share)
+        return np.asarray(found)
+
+
+def slopes(mechanism: Mechanism, joint: Joint, around: Mapping[str, tuple[Array, Array, Array]]) -> Slopes:
+    """Return the rigid-body terms of a joint and their changes along a measured motion."""
+    centre_m = mechanism.last_link(joint).centre_m
+    distances = (0.0, centre_m, 2 * centre_m) if centre_m else (0.0,)
+    base = mechanism.terms(joint, around)
+
+    def changed(change: Change) -> Array:
+        return mechanism.terms(joint, around, change) - base
+
+    loads = [Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance) for distance in distances]
+    shares = LENGTH_SHARES if mechanism.carries(joint) else ()
+    return Slopes(
+        base=base,
+        heavier=changed(Change(mass_share=MASS_STEP)) / MASS_STEP,
+        distances_m=distances,
+        loaded=np.stack([changed(load) for load in loads]) / PAYLOAD_STEP_KG,
+        longer=np.array([changed(Change(length_share=share)) for share in shares]).reshape(len(shares), *base.shape),
+    )
+
+
+def _interpolated(nodes: Sequence[float], values: Array, at: float) -> Array:
+    """Return the polynomial through values at some nodes, [D, ...], at another place."""
+    weights = [math.prod((at - b) / (a - b) for b in nodes if b != a) for a in nodes]
+    return np.asarray(np.tensordot(weights, values, 1))
