@@ -30,6 +30,7 @@ class FittedParameter:
     smallest: float = 0.0  # smallest u of an inverse parameter apart from the neutral value
     open_end: bool = False  # `high` ends the form of the law and is no physical bound
     shape: bool = False  # a shape of the law, without meaning if its strength is neutral
+    twin: str = ""  # path of a nuisance of which data show only the sum with this parameter
     reach: float = math.inf  # largest step, u, of a fit: a law with jumps is linear only nearby
 
     def value(self, u: float) -> float:

@@ -171,8 +171,8 @@ class FitProblem:
         return np.asarray(BlockSums(self.whitened, self.blocks).residuals([point or {}])[0][0])
 
     def nuisance_box(self, effects: EffectSet) -> tuple[Array, Array]:
-        """Return low and high [q] of the nuisances; a parameter that the set fits itself is fixed."""
-        own = {d.path for d in parameters_of(effects)}
+        """Return low and high [q] of the nuisances; a parameter that the set fits itself, or its twin, is fixed."""
+        own = {path for d in parameters_of(effects) for path in (d.path, d.twin)}
         free = np.array([path not in own for path in self.nuisance_paths])
         return self.nuisance_low * free, self.nuisance_high * free
 

@@ -74,8 +74,11 @@ def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     if p.default is None and p.neutral == p.high > p.low:
         fallen = p.neutral - nominal
         return Falling(path, p.unit, fallen, 0.0, p.neutral - p.low, size, 0.0, tolerance=news, top=p.neutral)
-    shape = p.default is not None
-    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news, shape=shape)
+    shape, twin = p.default is not None, _SUMMED.get(local, "")
+    twin = twin and f"{effect.name.partition('.')[0]}.{twin}"
+    return FittedParameter(
+        path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news, shape=shape, twin=twin
+    )
 
 
 def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
