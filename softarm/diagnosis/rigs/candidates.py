@@ -74,8 +74,8 @@ def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     if p.default is None and p.neutral == p.high > p.low:
         fallen = p.neutral - nominal
         return Falling(path, p.unit, fallen, 0.0, p.neutral - p.low, size, 0.0, tolerance=news, top=p.neutral)
-    shape, twin = p.default is not None, _SUMMED.get(local, "")
-    twin = twin and f"{effect.name.partition('.')[0]}.{twin}"
+    shape, stage = p.default is not None, effect.name.partition(".")[0]
+    twin = f"{stage}.{_SUMMED[local]}" if local in _SUMMED else ""
     return FittedParameter(
         path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news, shape=shape, twin=twin
     )

@@ -218,6 +218,7 @@ class _Stage:
         )
         self.nominal: Array = view.gap([{}])[0].astype(float)
         self.without = found.without_each(self.fit)
+        self.left_squares = self._squares(self.fit)
 
     def finding(self) -> Finding:
         """Return the complete finding."""
@@ -244,7 +245,7 @@ class _Stage:
         patched = view.gap([fit.point])[0].astype(float) if fit.effects else None
         before = after = rms(self.nominal)
         if patched is not None:
-            after = min(math.sqrt(float(self._squares(fit).sum() / np.isfinite(view.measured).sum())), before)
+            after = min(math.sqrt(float(self.left_squares.sum() / np.isfinite(view.measured).sum())), before)
         flexible, features = found.flexible.get(view.stage, (0.0, {}))
         return StageAnswer(
             stage=view.stage,
@@ -283,7 +284,7 @@ class _Stage:
 
     def _shrink(self, less: Fit) -> Interval:
         """Return the share of the held-out RMS that is lost with fewer effects."""
-        return share(*shrink.interval(self._squares(less), self._squares(self.fit)))
+        return share(*shrink.interval(self._squares(less), self.left_squares))
 
     def _named(self, effect: SelectedEffect) -> NamedEffect:
         return NamedEffect(
