@@ -179,7 +179,7 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 def workers_options(about: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return the options --workers and --ray of a verb that runs many jobs; it receives `workers`, a `Workers`."""
     count = click.option(
-        "--workers", "count", type=click.IntRange(min=1), help=f"{about}parallel jobs here.  [default: one per core]"
+        "--workers", "processes", type=click.IntRange(min=1), help=f"{about}parallel jobs here.  [default: one per core]"
     )
     address = click.option("--ray", help=f"{about}run on the Ray cluster at this address; 'local' starts one here.")
 
@@ -187,8 +187,8 @@ def workers_options(about: str = "") -> Callable[[Callable[..., Any]], Callable[
         @count
         @address
         @wraps(verb)
-        def with_workers(*args: Any, count: int | None, ray: str | None, **options: Any) -> Any:
-            return verb(*args, workers=Workers(count or cores(), ray), **options)
+        def with_workers(*args: Any, processes: int | None, ray: str | None, **options: Any) -> Any:
+            return verb(*args, workers=Workers(processes or cores(), ray), **options)
 
         return with_workers
 

@@ -38,6 +38,14 @@ def test_every_verb_has_help_with_an_example_of_itself(name):
         assert command.get_short_help_str()
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_no_two_options_of_a_verb_share_a_parameter(name):
+    """`--workers` took the number of cases away from `dev blind make --cases`."""
+    for path, command in commands_of(name):
+        names = [parameter.name for parameter in command.params]
+        assert len(names) == len(set(names)), path
+
+
 def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatch, tmp_path):
     (tmp_path / "needy_verb.py").write_text("import a_package_that_is_not_there\n")
     monkeypatch.setattr("softarm.cli.__path__", [*cli.__path__, str(tmp_path)])
