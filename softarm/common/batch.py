@@ -179,7 +179,10 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 def workers_options(about: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return the options --workers and --ray of a verb that runs many jobs; it receives `workers`, a `Workers`."""
     count = click.option(
-        "--workers", "processes", type=click.IntRange(min=1), help=f"{about}parallel jobs here.  [default: one per core]"
+        "--workers",
+        "processes",
+        type=click.IntRange(min=1),
+        help=f"{about}parallel jobs here.  [default: one per core]",
     )
     address = click.option("--ray", help=f"{about}run on the Ray cluster at this address; 'local' starts one here.")
 
