@@ -47,6 +47,7 @@ class TensorSimulator:
         overrides = overrides or {}
         self.variants = max((np.size(values) for values in overrides.values()), default=1)
         packed = Simulator(model, self.variants, physics_rate_hz, overrides=overrides)
+        self.effects, self.base_height_m = packed.effects, packed.models[0].arm.base_height_m
         table, self.active, self._substeps, self._substep_s = packed.prepare(step_s)
         self.robots, self.links, self.device = robots, packed.links, torch.device(device)
         self._at, self._lengths = kernel.rows((0,) * self.links), ((0,) * self.links, (0,) * LANES)

@@ -80,6 +80,11 @@ class Step(NamedTuple):
     final_tip_m: Array  # [R, 2], true tip position then
 
 
+def distorts(effect: str) -> bool:
+    """Return whether an effect changes what a policy observes of the state."""
+    return effect.startswith("mocap.") or effect in SEEN_THROUGH
+
+
 def to_physical(action: Array) -> Array:
     """Map actions in -1..1, float32 [..., 2], to cart velocity (m/s) and pressure (kPa)."""
     return LOW + (np.clip(action, -1.0, 1.0) + 1.0) * (0.5 * (HIGH - LOW))
@@ -110,8 +115,7 @@ class Environment:
         self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz, overrides=self._drawn)
         # Effects at their neutral value need no sensors.
         effects = self.randomisation.effects_with(self.simulator.model)
-        distorted = any(name.startswith("mocap.") or name in SEEN_THROUGH for name in effects)
-        self.sensors = Sensors(self.simulator, self._rng) if distorted else None
+        self.sensors = Sensors(self.simulator, self._rng) if any(map(distorts, effects)) else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
         self._differenced = "observation.finite_difference" in self.simulator.model.effects
         self._guard = RailGuard(robots, 1.0 / task.rate_hz, task.rail_limits) if task.rail_guard else None

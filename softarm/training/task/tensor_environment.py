@@ -20,15 +20,16 @@ from softarm.training.task.environment import (
     DIFFERENCES,
     PRESSURE,
     SEEN,
-    SEEN_THROUGH,
     SENT,
     Environment,
     Randomisation,
     Step,
+    distorts,
     environment_of,
 )
 from softarm.training.task.reach import Moment, Range, ReachTask, Starts
 from softarm.training.task.tensor_guard import TensorGuard
+from softarm.training.task.tensor_sensors import TensorSensors
 
 # Sets of parameters that robots take in turn when a randomisation draws for each episode.
 VARIANTS = 4096
@@ -65,6 +66,12 @@ class TensorEnvironment:
             model, robots, physics_rate_hz, overrides=drawn, step_s=1.0 / task.rate_hz, device=self.device
         )
         self._differenced = "observation.finite_difference" in model.effects
+        seen_through = any(map(distorts, randomisation.effects_with(model)))
+        self.sensors = (
+            TensorSensors(self.simulator, 1.0 / task.rate_hz, self._differenced, self.generator)
+            if seen_through
+            else None
+        )
         limits = task.rail_limits
         self._guard = TensorGuard(robots, 1.0 / task.rate_hz, limits, self.device) if task.rail_guard else None
         self._low, self._half = self._there(LOW), self._there(0.5 * (HIGH - LOW))
@@ -95,6 +102,8 @@ class TensorEnvironment:
         self._sent.copy_(velocity)
         simulator.step(velocity, pressure)
         self._look()
+        if self.sensors is not None:
+            self.sensors.look()
         self._elapsed += 1
 
         cart, tip = self._pose[:, 0], self._pose[:, 1:]
@@ -117,7 +126,9 @@ class TensorEnvironment:
         """Return the state of all robots and of the generator, as tensors of the CPU."""
         tensors = {name: getattr(self, name).cpu().clone() for name in self._tensors}
         guard = None if self._guard is None else self._guard.sent_m_s.cpu().clone()
-        return {**tensors, "guard": guard, "simulator": self.simulator.snapshot(), "rng": self.generator.get_state()}
+        sensors = None if self.sensors is None else self.sensors.snapshot()
+        rng = self.generator.get_state()
+        return {**tensors, "guard": guard, "simulator": self.simulator.snapshot(), "sensors": sensors, "rng": rng}
 
     def restore(self, content: dict[str, Any]) -> None:
         """Restore a snapshot of an environment with the same arguments."""
@@ -126,6 +137,8 @@ class TensorEnvironment:
         if self._guard is not None:
             self._guard.sent_m_s.copy_(content["guard"])
         self.simulator.restore(content["simulator"])
+        if self.sensors is not None:
+            self.sensors.restore(content["sensors"])
         self.generator.set_state(content["rng"])
 
     def _begin(self, which: Tensor, starts: Any, targets_m: Tensor) -> None:
@@ -143,6 +156,8 @@ class TensorEnvironment:
         self._rates.masked_fill_(column, 0.0)
         self._sent.masked_fill_(which, 0.0)
         self._elapsed.masked_fill_(which, 0)
+        if self.sensors is not None:
+            self.sensors.begin(which, variant)
 
     def _starts(self) -> Any:
         """Draw start states as `ReachTask.sample_starts` does."""
@@ -173,8 +188,12 @@ class TensorEnvironment:
         self._pose.copy_(pose)
 
     def _observe(self) -> Tensor:
-        columns = dict(zip(SEEN, torch.cat((self._pose, self._rates), dim=1).unbind(1), strict=True))
-        columns |= {SENT: self._sent, PRESSURE: self.simulator.pressure_kpa}
+        seen, pressure = torch.cat((self._pose, self._rates), dim=1), self.simulator.pressure_kpa
+        if self.sensors is not None:
+            parts = (self.sensors.positions_m.flatten(1), self.sensors.velocities_m_s.flatten(1))
+            seen = torch.cat([part for each in parts for part in (each[:, :1], each[:, 2:])], dim=1)
+            pressure = self.sensors.pressure_kpa
+        columns = dict(zip(SEEN, seen.unbind(1), strict=True)) | {SENT: self._sent, PRESSURE: pressure}
         return torch.stack([*(columns[k] for k in range(len(columns))), *self._target.unbind(1)], dim=1)
 
     def _there(self, values: Any) -> Tensor:
@@ -212,10 +231,8 @@ def _refuse(task: ReachTask, model: Model, randomisation: Randomisation) -> None
     if type(task) is not ReachTask:
         kind = type(task).__name__
         raise ValueError(f"task '{task.name}' is a {kind}; a graphics card runs ReachTask alone: choose device cpu")
-    effects = randomisation.effects_with(model)
-    sensors = sorted(name for name in effects if name.startswith(("mocap.", "clock.")) or name in SEEN_THROUGH)
-    if sensors:
+    clocks = sorted(randomisation.effects_with(model) & {"clock.jitter", "clock.missed_ticks"})
+    if clocks:
         raise ValueError(
-            f"the effects {', '.join(sensors)} are those of sensors and clocks, which a graphics card does not run: "
-            "leave them out, or choose device cpu"
+            f"a graphics card does not run the effects {', '.join(clocks)}: leave them out, or choose device cpu"
         )
