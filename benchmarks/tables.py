@@ -261,15 +261,15 @@ def card(read: Read) -> str:
         "environment of `reach`": found["environment_steps_per_s"],
         "training, the paper's network": found["training_steps_per_s"],
     }
-    seconds = dict(zip(map(str, trained["robots"]), trained["seconds_to_seed_level"], strict=True))
-    robots = sorted({int(each) for row in (*speeds.values(), seconds) for each in row})
+    robots = sorted({int(each) for row in speeds.values() for each in row})
 
-    def line(name: str, row: Mapping[str, float], digits: int, unit: float = 1.0) -> list[str]:
-        return [name, *(f"{row[str(k)] / unit:,.{digits}f}" if str(k) in row else "" for k in robots)]
+    def line(name: str, row: Mapping[str, float], digits: int) -> list[str]:
+        return [name, *(f"{row[str(k)] / 1e6:,.{digits}f}" if str(k) in row else "" for k in robots)]
 
     *simulated, training = speeds.items()
-    rows = [line(*each, 0, 1e6) for each in simulated]
-    rows += [line(*training, 1, 1e6), line("seconds to 94/50/80 %, seed 1", seconds, 1)]
+    rows = [line(*each, 0) for each in simulated] + [line(*training, 1)]
+    seconds = ", ".join("never" if each is None else f"{each:.0f}" for each in trained["seconds_to_seed_level"])
+    rows.append(["seconds to 94/50/80 %, seeds 1 to 5", seconds, *[""] * (len(robots) - 1)])
     return markdown(("robots", *(f"{k:,}" for k in robots)), rows)
 
 
