@@ -32,11 +32,13 @@ demo: install
 
 # Everything that a landing must pass.
 test: .venv/.compiled
-	$(MAKE) --no-print-directory lint types imports unit
+	$(MAKE) --no-print-directory --jobs 2 lint types imports
+	$(MAKE) --no-print-directory unit
 
 # The same without slow tests and tests that need the machine alone.
 quick: .venv/.compiled
-	$(MAKE) --no-print-directory lint types imports unit-quick
+	$(MAKE) --no-print-directory --jobs 2 lint types imports
+	$(MAKE) --no-print-directory unit-quick
 
 lint:
 	$(BIN)/ruff check .
