@@ -145,21 +145,6 @@ def test_a_calibration_writes_a_file_with_which_the_arm_is_tracked(
     assert f"{out}: exists and was not changed; name another --out, or give --replace" in again.stderr
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick")
-def test_a_failed_calibration_reports_the_cause_and_writes_nothing(
-    file: Path, poses: dict[str, Pose], tmp_path: Path
-) -> None:
-    hanging = arm(0.0)
-    poses.update(hanging | {"link2": hanging["link3"], "link3": hanging["link2"]})
-    out = tmp_path / "found.yaml"
-    answer = ask("calibrate", "--config", file, "--end", "-y", "--out", out, "--seconds", "1")
-    assert answer.exit_code == 1
-    assert "link2 and link3 seem swapped: link3 is at the place of link2; swap their names in Motive" in answer.stderr
-    assert "now push" not in answer.stderr
-    assert not out.exists()
-
-
 def test_without_a_terminal_the_end_must_be_given(file: Path, tmp_path: Path) -> None:
     answer = ask("calibrate", "--config", file, "--out", tmp_path / "found.yaml")
     assert answer.exit_code == 2
@@ -167,12 +152,7 @@ def test_without_a_terminal_the_end_must_be_given(file: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "code", "message"), [(signal.SIGINT, 130, "an arm in flight makes a soft stop"), (signal.SIGTERM, 0, "")]
-)
-def test_a_signal_ends_the_bridge_and_it_reports_the_consequence(
-    file: Path, number: int, code: int, message: str
-) -> None:
+def test_ctrl_c_ends_the_bridge_and_it_reports_the_consequence(file: Path) -> None:
     with running("bridge", "natnet", "--config", file, "--json", stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         status: dict[str, Any] = {"rate_hz": 0}
@@ -181,7 +161,7 @@ def test_a_signal_ends_the_bridge_and_it_reports_the_consequence(
             status = json.loads(process.stdout.readline())
         assert status["counts"]["without_daemon"] > 0
         assert not status["daemon_listens"]
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=20)
-    assert process.returncode == code
-    assert message in stderr
+    assert process.returncode == 130
+    assert "an arm in flight makes a soft stop" in stderr

@@ -178,11 +178,6 @@ def test_a_speed_out_of_range_is_refused(bench: Bench, speed: str) -> None:
     assert bench.position_m == 0.0
 
 
-def test_an_unreachable_drive_is_reported(bench: Bench) -> None:
-    bench.file.write_text(bench.file.read_text().replace(f"port: {bench.server.port}", "port: 1"))
-    bench.refuses("127.0.0.1:1: connect", "home", "--yes")
-
-
 # The middle
 
 

@@ -182,15 +182,6 @@ def test_a_cluster_gets_the_needs_of_each_job_and_is_detached(ray):
     assert not ray.is_open
 
 
-def test_one_thread_watches_the_parent_of_a_worker_for_all_its_jobs(ray, monkeypatch):
-    watched = []
-    thread = SimpleNamespace(start=lambda: watched.append(1))
-    monkeypatch.setattr(cluster, "threading", SimpleNamespace(Thread=lambda **of: thread))
-    cluster._watch.cache_clear()
-    batch.run("", squared, {str(n): n for n in range(5)}, FAKE)
-    assert watched == [1]
-
-
 def test_a_cluster_holds_few_jobs_at_once(ray, monkeypatch):
     waits, wait = [], ray.wait
     monkeypatch.setattr(ray, "wait", lambda waiting, num_returns: waits.append(len(waiting)) or wait(waiting, 1))

@@ -33,16 +33,6 @@ def test_a_failed_write_keeps_the_old_file_without_a_draft(tmp_path, error):
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
-def test_until_the_block_ends_readers_see_the_old_file(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-    with files.replacing(path) as file:
-        file.write(b"new")
-        file.flush()
-        assert path.read_text() == "old"
-    assert path.read_text() == "new"
-
-
 def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "plain").write_text("x")
     files.write_text(tmp_path / "ours", "x")

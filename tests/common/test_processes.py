@@ -60,11 +60,6 @@ def noted(folder, number):
     return number
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_every_job_comes_back_with_its_result(count):
-    assert dict(as_they_come(abs, [-3, 1, -2], count)) == {-3: 3, 1: 1, -2: 2}
-
-
 def test_one_process_is_this_one_and_works_in_order(tmp_path):
     begun = as_they_come(partial(noted, tmp_path), [5, 3, 4], 1)
     assert next(begun) == (5, 5)

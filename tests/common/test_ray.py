@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from softarm.common import batch, cluster
-from softarm.common.batch import Work, Workers
+from softarm.common.batch import Workers
 from softarm.diagnosis import many
 from softarm.evaluation import entries, table
 from softarm.policies.base import MODELS
@@ -17,7 +17,6 @@ from softarm.reality.rigs.case import case_of
 from softarm.reality.rigs.record import write
 from softarm.simulator import model_file
 from softarm.training.run import sweep
-from tests.common.test_batch import copied
 from tests.ray_instance import WITH_RAY, apart
 
 # The nodes start for half a minute; test_batch.py proves the same with a stand-in for Ray.
@@ -90,15 +89,6 @@ def test_both_nodes_work_and_a_killed_worker_stops_no_other_job(there):
     done = batch.run("", fails, {str(k): k for k in range(4)}, there)
     assert done.results == {"0": 0, "2": 2, "3": 3}
     assert list(done.failures) == ["1"]
-
-
-def test_files_travel(there, folders):
-    for folder in folders:
-        (folder / "case" / "in").mkdir(parents=True)
-        (folder / "case" / "in" / "text").write_text("ab")
-    work = Work(copied, lambda p: [p / "in", p / "out"], lambda p: [p / "out"])
-    assert batch.run("", work, {"a": Path("case")}, there).complete() == {"a": "case"}
-    assert (folders[1] / "case" / "out" / "twice").read_text() == "abab"
 
 
 def test_a_sweep_gives_the_same_policies_and_figures(there, folders):

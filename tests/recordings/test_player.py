@@ -79,15 +79,3 @@ def test_a_long_log_is_thinned_with_the_worst_lateness_kept():
     np.testing.assert_array_equal(samples.columns["cart_y"], rows[::8, 0])
     worst = [rows[i : i + 8, late].max() for i in range(0, 7300, 8)]
     np.testing.assert_array_equal(samples.columns["late_ms"], worst)
-
-
-def test_an_hour_at_full_rate_is_about_seven_megabytes():
-    """Unpack the ticks of an hour from the page."""
-    from softarm.reporting import plot
-
-    samples, row = player.Samples(), np.linspace(0, 1, len(player.SERIES))
-    for number in range(3600 * 30):
-        samples.add(number, row)
-    assert samples.every == 1
-    packed = [plot.packed_integers(samples.stamps_ns), *map(plot.packed_levels, samples.columns.values())]
-    assert 6e6 < len(json.dumps(packed)) < 7.5e6

@@ -155,14 +155,6 @@ def test_campaigns_with_different_models_need_the_model_option(asked, tmp_path):
     assert asked.trials is None
 
 
-def test_the_tolerance_of_a_calibrated_parameter_is_printed(asked, tmp_path):
-    found = {"name": "rail.lag.time", "unit": "s", "nominal": 0.02, "value": 0.024, "low": 0.022, "high": 0.026}
-    found |= {"tolerance_low": 0.016, "tolerance_high": 0.024, "at_edge": True, "shrink": 0.2}
-    asked.verdict = Verdict.model_validate(NAMED.model_dump() | {"calibration": [found]})
-    output = " ".join(invoke("diagnose", write_trial(tmp_path / "c" / "a")).output.replace("│", "").split())
-    assert "rail.lag.time 20 ms 24.0 ms (22.0 to 26.0) 16 to 24 ms, at the edge" in output
-
-
 def test_without_a_named_effect_no_patch_is_written(asked, tmp_path):
     asked.verdict, asked.patched, asked.calibrated = UNKNOWN, None, None
     trial, patch = write_trial(tmp_path / "c" / "a"), tmp_path / "patched.yaml"

@@ -70,11 +70,3 @@ def test_a_log_cannot_be_fitted_and_held_out(recorded, tmp_path):
     assert outcome.exit_code == 1
     assert "given for the fit and for the check" in outcome.output
     assert not (tmp_path / "m.yaml").exists()
-
-
-def test_the_list_shows_every_excitation():
-    from softarm.schemas.excitation import EXCITATIONS
-
-    outcome = invoke("excite", "--list")
-    assert all(line.split()[0] in EXCITATIONS for line in outcome.output.splitlines())
-    assert len(outcome.output.splitlines()) == len(EXCITATIONS)

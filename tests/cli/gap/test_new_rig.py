@@ -106,33 +106,3 @@ def test_a_file_that_does_not_pass_its_check_is_kept_with_the_next_step(tmp_path
     assert "200 rows over 0.398 s; the command channel" in result.stderr or "needs 20 rows over 0.8 s" in result.stderr
     assert result.stdout.endswith("next: correct stage.yaml, then\n  softarm check stage.yaml\n")
     assert (tmp_path / "stage.yaml").exists()
-
-
-SWING = ("--nominal", "mass_kg=0.15", "--nominal", "centre_m=0.15", "--nominal", "inertia_kg_m2=1e-4")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("recordings", "options", "says"),
-    [
-        ("so101/step_response", ("--unit", "*positions=rad"), "6 trials of rig_1 (tracking)"),
-        (
-            "multiarm-pendulum/SinglePendulumDataForParameterEstimation.mat",
-            ("--kind", "pendulum", "--measured", "Y_{segment}#0", "--unit", "Y*#0=rad", *SWING),
-            "6 trials of rig (pendulum)",
-        ),
-        (
-            "double-pendulum/run-00.csv",
-            (
-                *("--unit", "pos*=rad", "--unit", "tau*=N m", "--angles", "relative", "--nominal", "mass_kg=0.64,0.56"),
-                *("--nominal", "centre_m=0.2,0.32", "--nominal", "inertia_joint_kg_m2=0.027,0.054"),
-                *("--nominal", "length_m=0.2,0.3"),
-            ),
-            "1 trial of rig (chain)",
-        ),
-    ],
-)
-def test_real_recordings_are_described(data, tmp_path, recordings, options, says):
-    result = invoke("new", "rig", data / recordings, *options, "--name", "rig", "--out", tmp_path / "stage.yaml")
-    assert result.exit_code == 0, result.output
-    assert says in result.stdout

@@ -3,7 +3,6 @@
 import pytest
 from click.testing import Result
 
-from softarm.cli.operate.demo import in_mm
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from tests.cli.invoke import invoke
 
@@ -46,7 +45,3 @@ def test_the_error_of_a_child_process_is_printed(monkeypatch, tmp_path):
     assert done.exit_code == 1
     assert done.stdout.startswith("watch it at http://127.0.0.1:")  # before anything starts
     assert "pip install 'softarm[sim]'" in done.output
-
-
-def test_a_goal_that_ends_before_its_first_tick_has_no_distance():
-    assert [in_mm(each) for each in (0.0391, None)] == ["39", "-"]

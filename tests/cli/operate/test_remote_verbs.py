@@ -150,13 +150,6 @@ def test_a_goal_is_requested_and_printed(softarm, accepts_goal, arguments, body,
     assert accepts_goal.requests == [("POST", "/api/goal", body)]
 
 
-def test_a_misspelt_option_of_reach_is_refused(softarm, daemon):
-    result = softarm("goal", "reach", "-0.2", "0.6", "--wiat")
-    assert result.exit_code == 2
-    assert "--wiat" in result.stderr
-    assert daemon.requests == []
-
-
 REACH, RUN = ("reach", -0.2, 0.6, "--wait"), ("run", "--wait")
 
 
@@ -282,12 +275,6 @@ def test_logs_are_listed_with_size_duration_and_path(softarm, daemon, monkeypatc
     ]
 
 
-def test_an_empty_list_of_logs_is_reported(softarm, daemon):
-    daemon.on("GET", "/api/logs", LogsAnswer(directory="/tmp/x", logs=()).model_dump())
-    result = softarm("logs", "list")
-    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "no recordings yet in /tmp/x\n")
-
-
 def test_status_of_a_healthy_arm_is_complete(softarm, daemon, make_status):
     daemon.on("GET", "/api/status", make_status(goal=RUNNING, clamps=("rail_velocity",)))
     assert softarm("status").stdout.splitlines() == [
@@ -337,27 +324,9 @@ def test_status_shows_every_fault(softarm, daemon, make_status):
     assert "tip" not in out
 
 
-def test_status_shows_each_fault_once(softarm, daemon, make_status):
-    message = "10.0.0.1:502: connect: refused; switch it on"
-    event = ActiveEvent("rail_missing", "soft_stop", f"the axis has not answered ({message}): check it")
-    problems = Problems(rail=message)
-    daemon.on("GET", "/api/status", make_status(events=(event,), arming_refusals=(event.text,), problems=problems))
-    out = softarm("status").stdout
-    assert out.count(message) == 1
-    assert f"cannot arm: {event.text}\n" in out
-
-
 def test_status_as_json_is_the_unchanged_answer_of_the_api(softarm, daemon, make_status):
     daemon.on("GET", "/api/status", b'{"mode": "armed"}')
     assert softarm("status", "--json").stdout == '{\n "mode": "armed"\n}\n'
-
-
-def test_watch_shows_each_status_until_the_daemon_ends(softarm, daemon, make_status):
-    daemon.on("GET", "/api/status", make_status(tick=1), make_status(tick=2), b"gone")
-    result = softarm("status", "--watch")
-    assert result.exit_code == 1
-    assert "tick 2" in result.stdout
-    assert "not answer as a softarm daemon" in result.stderr
 
 
 def test_a_missing_token_names_the_option(softarm, daemon):

@@ -1,11 +1,8 @@
 """Command `softarm run` on a robot that exists only in this process."""
 
-import json
 import os
-import re
 import signal
 import socket
-from pathlib import Path
 
 import httpx
 import pytest
@@ -101,7 +98,7 @@ def test_the_dashboard_is_opened_on_request_at_an_address_of_this_computer(tmp_p
     assert opened == ["http://127.0.0.1:9123"]
 
 
-@pytest.mark.parametrize("verb", [["run", "--config"], ["check"], ["excite", "seed", "--config"]])
+@pytest.mark.parametrize("verb", [["run", "--config"], ["excite", "seed", "--config"]])
 def test_a_port_in_use_leaves_no_log(tmp_path, verb):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -110,32 +107,3 @@ def test_a_port_in_use_leaves_no_log(tmp_path, verb):
     assert result.exit_code == 1
     assert f"api.port {port}: cannot listen there, process {os.getpid()} (" in result.stderr
     assert os.listdir(tmp_path) == ["c.yaml"]
-
-
-ROOT = Path(__file__).parents[3]
-READY = '"arming_refusals": []'
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(120)
-def test_the_documented_policy_flies_from_the_command_line(install, tmp_path, monkeypatch):
-    page = (ROOT / "docs" / "policies" / "interface.md").read_text(encoding="utf-8").partition("## Your own policy")[2]
-    code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
-    assert code is not None
-    install("my_package", code[1], wave="Wave")
-    config = tmp_path / "arm.yaml"
-    config.write_text(f"api: {{port: 0}}\ncontrol: {{policy: wave}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
-    environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', ROOT)}"}
-
-    with running("run", "--simulated", "--config", config, env=environment) as daemon:
-        monkeypatch.setenv("SOFTARM_URL", said(daemon, r"serving (http://\S+)"))
-
-        def printed(*arguments):
-            return invoke(*arguments).output
-
-        until(lambda: (status := invoke("status", "--json")).exit_code == 0 and READY in status.output)
-        assert printed("arm") == "armed\n"
-        listed = printed("policy", "list")
-        assert "* wave          sweeps the cart to and fro  (needs no target: `softarm goal run`)" in listed
-        assert re.fullmatch(r"cancelled after 0\.\d\d s, as requested\n", printed("goal", "run", "--seconds", "0.5"))
-        assert json.loads(printed("status", "--json"))["rail_position_m"] > 0.02

@@ -65,14 +65,6 @@ def test_without_a_daemon_the_start_of_one_is_checked(softarm, bench):
     assert (done.exit_code, answer["sound"]) == (0, True)
 
 
-def test_a_problem_is_reported_with_its_remedy(softarm, bench):
-    (bench / "softarm.yaml").write_text("control: {polcy: reach}\n")
-    done = softarm("doctor", "--config", "softarm.yaml", "--simulated", "--url", "http://127.0.0.1:9")
-    assert done.exit_code == 1
-    assert "problem  configuration: softarm.yaml:1: control.polcy: unknown key; did you mean policy?" in done.output
-    assert "-> correct it" in done.output
-
-
 def test_a_daemon_that_requires_a_token_is_recognised(softarm, daemon, bench):
     daemon.on("GET", "/api/status", {"detail": "a token is needed"}, code=401)
     daemon.extra_headers[API_HEADER] = "1"

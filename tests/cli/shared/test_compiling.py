@@ -3,41 +3,27 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
-import logging, sys
+import logging, numba, sys, time
 from softarm.cli.groups import compilation_announced
+from softarm.common.processes import work_clock
 if sys.argv[1] == "daemon":
     logging.basicConfig(format="by the daemon's log: %(message)s")
 with compilation_announced():
     from softarm.simulator import compiled
-    compiled._inform_once(compiled.COMPILING)
-    compiled._inform_once(compiled.COMPILING)
-"""
-
-
-def stderr(program):
-    return subprocess.run([sys.executable, "-c", PROGRAM, program], check=True, capture_output=True, text=True).stderr
-
-
-def test_compiling_is_announced_once():
-    line = "compiling the simulator for this machine: once, for about half a minute ...\n"
-    assert stderr("a verb") == line
-    assert stderr("daemon") == f"by the daemon's log: {line}"
-
-
-COMPILED = """
-import numba, time
-from softarm.cli.groups import compilation_announced
-from softarm.common.processes import work_clock
-with compilation_announced():
-    from softarm.simulator import compiled
     before = time.monotonic() - work_clock()
+    compiled._inform_once(compiled.COMPILING)
     compiled._inform_once(compiled.COMPILING)
     numba.njit(lambda x: x + 1)(1.0)
     print(time.monotonic() - work_clock() - before > 0.001)
 """
 
 
-def test_compiling_does_not_count_for_the_remaining_time():
-    done = subprocess.run([sys.executable, "-c", COMPILED], check=True, capture_output=True, text=True)
-    assert done.stdout == "True\n"
+@pytest.mark.parametrize(("program", "start"), [("a verb", ""), ("daemon", "by the daemon's log: ")])
+def test_compiling_is_announced_once_and_does_not_count_for_the_remaining_time_of_a_verb(program, start):
+    command = [sys.executable, "-c", PROGRAM, program]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert done.stderr == f"{start}compiling the simulator for this machine: once, for about half a minute ...\n"
+    assert program == "daemon" or done.stdout == "True\n"

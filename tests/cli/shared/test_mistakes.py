@@ -148,6 +148,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("excite seed", "no robot chosen: use --config FILE for real devices, --simulated, or --reality"),
         ("excite seed --simulated --fault arm.payload_kg=0.03", "add --reality"),
         ("goal reach -0.2", "Missing argument 'Z'"),
+        ("goal reach -0.2 0.6 --wiat", "--wiat"),
         ("goal reach left 0.6", "'left' is not a valid float"),
         ("goal xyzzy", "`softarm goal --help` lists the verbs."),
         ("incidents --out x.zip", "--out is for one file: give its NAME, or `latest`"),

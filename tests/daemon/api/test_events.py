@@ -45,10 +45,6 @@ def test_events_are_served_from_the_newest_or_after_a_number(recorded):
     assert recorded.get("/api/events?since=10").json()["events"] == []
 
 
-def test_a_new_daemon_has_no_events(client):
-    assert client.get("/api/events").json() == {"run": "", "events": [], "oldest": None, "newest": None}
-
-
 @pytest.mark.parametrize(
     ("query", "sentence"),
     [

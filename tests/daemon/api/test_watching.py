@@ -14,7 +14,6 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook.recent import NAMES, Recent
 from softarm.daemon.runtime.devices import simulated_devices
-from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
 from softarm.schemas.rest import RobotAnswer
@@ -90,10 +89,3 @@ def test_bodies_without_an_observation_have_an_age(silent):
         "rail": None,
     }
     assert view_of(outputs, None)["ages_ms"]["mocap"] is None
-
-
-def test_a_shelf_policy_reports_its_shelf_depth():
-    policies = registry.available({})
-    assert policies["reach"].spec.shelf_depth_m is None
-    shelves = [entry.spec.shelf_depth_m for name, entry in policies.items() if "shelf" in name]
-    assert shelves == [0.075] * len(shelves) != []

@@ -5,8 +5,6 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from softarm.common.keys import leaves
 from softarm.daemon.config import configuration
@@ -120,41 +118,6 @@ def test_an_unreadable_file_is_named_with_the_next_step(tmp_path):
     assert problems(tmp_path / "no.yaml") == [
         "no.yaml: no such file; name an existing file, or write one with `softarm config new`"
     ]
-
-
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.text(alphabet="ab:-{}[]&*!?|>'\"#%@ \n\t0.~<", max_size=60))
-def test_any_text_is_a_configuration_or_a_configuration_error(tmp_path, text):
-    path = tmp_path / "any.yaml"
-    path.write_text(text)
-    try:
-        load(path)
-    except ConfigurationError as refusal:
-        reported = refusal.problems
-    else:
-        return
-    assert reported
-    assert all(problem.startswith(str(path)) for problem in reported)
-
-
-NUMBERS = [key for key in leaves(Config) if key.bounds]
-
-
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from(NUMBERS), st.floats(-1e6, 1e6))
-def test_an_out_of_range_number_is_refused_with_a_valid_hint(tmp_path, key, value):
-    path = tmp_path / "number.yaml"
-    lines = [f"{'  ' * depth}{name}:" for depth, name in enumerate(key.path)]
-    path.write_text("\n".join(lines) + f" {value!r}\n")
-    if key.quantity.admits(value):
-        return
-    with pytest.raises(ConfigurationError) as refusal:
-        load(path)
-    said = next(p for p in refusal.value.problems if key.name + ":" in p)
-    assert said.startswith(f"{path}:{len(key.path)}: {key.name}: is ")
-    assert f"allowed {key.bounds}" in said
-    if "write " in said:
-        assert key.quantity.admits(float(said.rpartition("write ")[2]))
 
 
 def test_effective_limits_have_value_bounds_and_source(write):

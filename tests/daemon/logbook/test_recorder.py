@@ -91,13 +91,6 @@ def test_a_change_of_policy_is_recorded_in_order(tmp_path):
     assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
 
 
-def test_few_ticks_of_a_resting_arm_are_written_and_the_rest_at_the_end(tmp_path):
-    recorder = recorded(config(tmp_path, idle_interval_s=5.0, around_s=1.0), map(make_tick, range(400)))
-    kept = [outputs.tick for _, outputs in logs.read(recorder.path).ticks()]
-    assert len(kept) < 70
-    assert kept[-30:] == list(range(370, 400))
-
-
 def test_two_recorders_in_the_same_second_write_two_files(tmp_path):
     with recording(config(tmp_path), wall_ns=lambda: 0), recording(config(tmp_path), wall_ns=lambda: 0):
         pass

@@ -9,7 +9,7 @@ import weakref
 import pytest
 
 from softarm.daemon.control.inbox import Inbox
-from softarm.daemon.control.records import EStop, Inputs, Mode, Request
+from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.runtime import loop as control_loop
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.loop import PERIOD_NS, ControlLoop, Rehearsal
@@ -125,16 +125,6 @@ def test_a_tick_is_rehearsed_before_the_next_one():
     assert ticks == sorted(set(ticks))
 
 
-def test_without_time_only_requests_are_rehearsed():
-    rehearsed = Rehearsed()
-    loop = Loop(rehearsal=rehearsed).loop
-    loop._rehearse(time.monotonic_ns() + PERIOD_NS)  # before the first tick
-    for requests in ((), (Request(1, "arm"),)):
-        loop._previous = (Inputs(0, requests=requests), None, {})
-        loop._rehearse(time.monotonic_ns())
-    assert [inputs.requests for inputs, _ in rehearsed] == [(Request(1, "arm"),)]
-
-
 class Cycle:
     def __init__(self):
         self.own = self
@@ -150,11 +140,6 @@ def test_old_garbage_is_collected_too(monkeypatch):
         loop.until(lambda outputs: outputs.tick >= first + 4)
         del cycle
         loop.until(lambda outputs: alive() is None)
-
-
-def test_the_loop_works_with_a_thousand_open_descriptors(many_descriptors):
-    with many_descriptors(), Loop() as loop:
-        loop.until(lambda outputs: outputs.tick >= 3)
 
 
 @pytest.mark.slow

@@ -43,13 +43,6 @@ def test_placing_it_is_refused():
         daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
 
 
-def test_many_ticks_accumulate_no_rounding_error():
-    daemon = Lockstep(Config(), Hold(), body=IndependentBody())
-    for _ in range(90):
-        daemon.tick()
-    assert daemon.robot.now_ns == 3_000_000_000
-
-
 def test_it_moves_as_commanded_and_returns_its_sensors_readings():
     parameters = RobotParameters(
         mocap=Mocap(transport_s=0.02, noise_m=0.0),

@@ -5,9 +5,8 @@ import time
 from typing import Any
 
 import pytest
-from natnet import NatNetClient
 
-from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, Status, look_at
+from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, look_at
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import Conversation
 from softarm.drivers.bridge.frame import Plane
@@ -81,25 +80,6 @@ async def test_the_daemon_receives_the_servers_frames(
     finally:
         publisher.close()
     assert f"the daemon at {daemon.endpoint} listens" in lines
-
-
-def test_an_independent_client_receives_the_servers_frames() -> None:
-    """Use the package natnet in unicast: its CONNECT has five bytes, and it sends a keep-alive at every poll."""
-    frames: list[Any] = []
-    models: list[Any] = []
-    with Motive((3, 1)) as server, Streaming(server, dict(POSES), ROOM):
-        theirs = NatNetClient("127.0.0.1", "127.0.0.1", command_port=server.port, use_multicast=False)
-        theirs.on_data_frame_received_event.handlers.append(frames.append)
-        theirs.on_data_description_received_event.handlers.append(models.append)
-        with theirs:
-            theirs.request_modeldef()
-            deadline = time.monotonic() + 10
-            while not (len(frames) > 5 and models) and time.monotonic() < deadline:
-                theirs.update_sync()
-    assert {body.name: body.id_num for body in models[0].rigid_bodies} == IDS
-    shown = {body.id_num: body for body in frames[-1].rigid_bodies}
-    assert shown[IDS["link5"]].pos == pytest.approx(Plane(ROOM).point(*POSES["link5"][:2]))
-    assert shown[IDS["link5"]].tracking_valid
 
 
 def test_datagrams_from_other_senders_are_counted_and_ignored() -> None:
@@ -225,10 +205,3 @@ def test_a_missing_name_is_reported_and_requested_again(scripted: Any) -> None:
     assert bridging.status().problem == line
     inlet.conversation.ids = dict(IDS)
     assert run(2.0) == ["link5 is tracked again, after 2.0 s", "frames arrive"]
-
-
-def test_the_status_line_has_rate_age_clock_and_daemon() -> None:
-    status = Status(119.9, 6.1, ("link3",), -12.3, 0.15, 23.4, "x", True, None, {})
-    assert status.line() == (
-        "119.9 frames/s | 6.1 ms old | lost: link3 | clock -12.300 s +- 0.15 ms, +23.4 ppm | the daemon listens"
-    )

@@ -122,7 +122,3 @@ def test_the_trail_is_where_the_tip_was_in_the_last_second_and_a_half(converted,
         newest = next(pose for t, pose in seen if t + offset_ns == at_ns)
         assert points[-1] == (round(newest.y_m, 4), round(newest.z_m, 4))
     assert len(points) > 15
-
-
-def test_a_trail_of_one_point_is_absent():
-    assert scene.trail([(0.0, 0.5)], 5)["entities"] == []

@@ -1,10 +1,7 @@
 """The server process: its announcements and its messages of a live log."""
 
 import io
-import socket
 import sys
-import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -19,22 +16,6 @@ def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     server.serve("127.0.0.1", 0, io.BytesIO())
     assert capsys.readouterr().out == "is not installed: pip install 'softarm[foxglove]'\n"
-
-
-def test_the_extra_that_is_named_brings_the_sdk_and_the_core_does_not():
-    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
-    assert any(each.startswith("foxglove-sdk") for each in project["optional-dependencies"]["foxglove"])
-    assert not any("foxglove" in each for each in project["dependencies"])
-
-
-def test_an_occupied_port_is_reported(log, capsys):
-    pytest.importorskip("foxglove")
-    with socket.create_server(("127.0.0.1", 0)) as taken, log.path.open("rb") as source:
-        port = taken.getsockname()[1]
-        server.serve("127.0.0.1", port, source)
-    said = capsys.readouterr().out
-    assert said.startswith(f"cannot be served at 127.0.0.1:{port} (")
-    assert said.endswith("choose another port\n")
 
 
 def test_the_port_opens_after_every_channel_exists(monkeypatch):
