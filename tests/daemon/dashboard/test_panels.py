@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -29,7 +28,7 @@ def test_policies_are_listed_with_description_or_error(page, robot):
     assert panel.locator("li b").all_inner_texts() == [one["name"] for one in listed]
     assert panel.locator("li", has_text="in use").locator("b").inner_text() == "reach"
     broken = next(one for one in listed if one["error"])
-    assert "cannot be used" in panel.locator("li.broken", has_text=broken["name"]).inner_text().lower()
+    assert "cannot be used" in panel.locator("h3 + ul li.broken", has_text=broken["name"]).inner_text().lower()
 
 
 @pytest.mark.prove
@@ -97,25 +96,11 @@ def test_a_log_is_downloaded_and_deleted(page, daemon, flight, tmp_path):
     page.locator("#panel-logs-tab").focus()  # cancelled by moving the focus
     assert row.get_by_role("button", name="Delete").inner_text() == "Delete"
     row.get_by_role("button", name="Delete").click()
+    with page.expect_response("**/api/logs"):  # a reload, as after a lost connection, keeps the question
+        page.evaluate("document.getElementById('panel-logs-tab').click()")
     row.locator("text=Delete permanently?").click()
     row.wait_for(state="detached")
     assert not flight.exists()
-
-
-def test_a_reload_of_the_list_leaves_unchanged_rows_in_the_page(page, flight):
-    panel = tab(page, "logs")
-    row = panel.locator("li", has_text="flight.mcap")
-    row.evaluate("(row) => { row.kept = true; }")
-    newer = flight.with_name("newer.mcap")
-    shutil.copy(FLIGHT, newer)
-    tab(page, "logs")
-    panel.locator("li", has_text="newer.mcap").wait_for()
-    newer.unlink()
-    assert panel.locator("li b").all_inner_texts().index("flight.mcap") > 0
-    assert row.evaluate("(row) => row.kept")  # a click on a replaced row would be lost
-    tab(page, "logs")
-    panel.locator("li", has_text="newer.mcap").wait_for(state="detached")
-    assert row.evaluate("(row) => row.kept")
 
 
 ROWS = """
@@ -143,17 +128,6 @@ def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
     button.click(force=True)
     row.locator("text=This log is being recorded.").wait_for()
     assert daemon.recorder.path.exists()
-
-
-def test_an_incident_file_is_downloaded(page, robot, tmp_path):
-    robot.arm()
-    robot.ask("/api/stop")
-    robot.until(lambda _: robot.client.get("/api/incidents").json()["incidents"])
-    panel = tab(page, "incidents")
-    with page.expect_download() as download:
-        panel.get_by_role("link", name="Download").first.click()
-    download.value.save_as(tmp_path / "incident.zip")
-    assert zipfile.ZipFile(tmp_path / "incident.zip").testzip() is None
 
 
 def test_a_report_opens_in_a_new_page(page, robot, daemon):
@@ -212,18 +186,6 @@ def test_an_excitation_is_played_and_recorded_and_the_policy_stays(page, robot, 
     flown = {(outputs.policy, outputs.goal.goal.kind) for _, outputs in log.ticks() if outputs.goal.state == "running"}
     assert flown == {("excite-short", "run")}
     assert max(outputs.sent.pressure_kpa for _, outputs in log.ticks()) > 1.0
-
-
-def test_an_excitation_is_cancelled_as_a_goal_is(page, robot):
-    robot.arm()
-    panel = tab(page, "jobs")
-    panel.locator("select").select_option("seed")
-    panel.get_by_role("button", name="Start excitation").click()
-    robot.until(lambda status: status["goal"]["state"] == "running")
-    assert robot.ask("/api/jobs", {"kind": "replay", "log": "x.mcap"}).status_code in (404, 409)
-    panel.get_by_role("button", name="Cancel job").click()
-    row(page).locator("b", has_text="Excitation – cancelled").wait_for()
-    assert (robot.status["goal"]["state"], robot.status["mode"]) == ("cancelled", "armed")
 
 
 def test_a_diagnosis_shows_its_report_in_the_page_where_space_still_stops(page, robot, flight, monkeypatch):

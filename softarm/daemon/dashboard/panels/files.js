@@ -5,6 +5,7 @@ import { ROLE_LIMITS } from "../view/controls.js";
 import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
 import { Panel, words } from "./panel.js";
 
+const CONFIRM = "Delete permanently?";
 const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;
 
 function entry(name, more, ...buttons) {
@@ -20,33 +21,36 @@ export class Logs extends Panel {
   constructor(replay) {
     super("Logs", "api/logs");
     this.replay = replay;
+    this.toDelete = null; // name of the log whose deletion waits for its confirmation
   }
 
   fill({ directory, logs }) {
+    if (!this.place.contains(document.activeElement)) this.toDelete = null;
     this.show(this.list(logs.map((log) => this.log(log)), "No logs."), el("p", { class: "hint" }, `Folder: ${directory}`));
   }
 
   log(log) {
     const length = log.duration_s === null ? (log.recording ? "being recorded" : "not finished") : seconds(log.duration_s);
     const why = log.recording ? "This log is being recorded." : this.commands ? "" : ROLE_LIMITS.view;
-    const button = (text, act) => el("button", { type: "button", class: "small", title: why, "aria-disabled": String(Boolean(why)), "aria-label": `${text} ${log.name}`, onclick: (event) => (why ? (made.message.textContent = why) : act(event.target)) }, text);
+    const button = (text, act, shown = text, kind = "small") => el("button", { type: "button", class: kind, title: why, "aria-disabled": String(Boolean(why)), "aria-label": `${text} ${log.name}`, onclick: (event) => (why ? (made.message.textContent = why) : act(event.target)) }, shown);
+    const asked = this.toDelete === log.name ? [CONFIRM, "small danger"] : [];
     const made = entry(log.name, `${clock(log.modified, true)} · ${bytes(log.bytes)} · ${length}`,
       link(path("logs", log.name), "Download", { download: log.name, "aria-label": `Download ${log.name}` }),
       link(`${path("logs", log.name)}/view`, "View", { target: "_blank", rel: "noopener", "aria-label": `View ${log.name}` }),
       button("Replay", () => this.replay(log.name)),
-      button("Delete", (pressed) => this.confirm(log, pressed, made.message)));
+      button("Delete", (pressed) => this.confirm(log, pressed, made.message), ...asked));
     return made.row;
   }
 
-  // Ask for confirmation in the button itself: a dialog would cover Stop.
+  // Ask for confirmation in the button itself: a dialog would cover Stop. A reload of the list keeps the question.
   confirm(log, pressed, message) {
+    if (this.toDelete === log.name) return void this.remove(log, message);
     const back = pressed.textContent;
-    if (pressed.dataset.armed) return void this.remove(log, message);
-    pressed.dataset.armed = "1";
+    this.toDelete = log.name;
     pressed.classList.add("danger");
-    pressed.textContent = "Delete permanently?";
+    pressed.textContent = CONFIRM;
     const reset = () => {
-      delete pressed.dataset.armed;
+      this.toDelete = null;
       pressed.classList.remove("danger");
       pressed.textContent = back;
     };
