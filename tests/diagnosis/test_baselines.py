@@ -8,7 +8,6 @@ from softarm.simulator.effects import validate
 
 pytestmark = pytest.mark.slow
 LATE = (("pressure.dead_time", (("delay", 0.06),)),)
-LATE_AND_LOADED = (*LATE, ("arm.payload", (("mass", 0.06),)))
 
 
 def _names(diagnosis):
@@ -24,16 +23,6 @@ def test_one_strong_effect_is_named(campaign, method):
     assert verdict.where.stage == "pressure"
     assert found.patched.effects["pressure.dead_time"]["delay"] == verdict.effects[0].parameters["delay"].value
     validate(found.patched.effects)
-
-
-def test_the_largest_gain_sees_no_gap_where_there_is_none(campaign):
-    found = METHODS["largest-gain"](campaign(), Model())
-    assert (found.verdict.verdict, _names(found)) == ("none", [])
-
-
-@pytest.mark.prove
-def test_bic_goes_on_to_the_second_effect(campaign):
-    assert {"pressure.dead_time", "arm.payload"} <= set(_names(METHODS["bic"](campaign(LATE_AND_LOADED), Model())))
 
 
 def test_all_at_once_names_one_effect_of_the_registry_and_its_patch_is_a_model(campaign):

@@ -7,14 +7,6 @@ import pytest
 from click.testing import CliRunner
 
 from validation import chained
-from validation.chained import Cart
-
-
-def test_a_cart_beyond_its_bound_counts_once_until_it_is_back():
-    cart = Cart(bound_m=0.255, travel_m=0.3)
-    for place in (0.0, -0.256, -0.26, 0.25, 0.256, 0.3, 0.2999, 0.2, 0.3):
-        cart.look(place)
-    assert (cart.excursions, cart.crashes, cart.max_m) == (3, 2, 0.3)
 
 
 @pytest.mark.slow

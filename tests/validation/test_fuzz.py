@@ -25,10 +25,3 @@ def test_a_parser_keeps_its_promise(name, monkeypatch):
 def test_a_broken_promise_is_a_finding(monkeypatch):
     monkeypatch.setitem(PARSERS, "planted", lambda: Parser(lambda random: 0, lambda case: {}["missing"], (ValueError,)))
     assert "KeyError: 'missing'" in try_case("planted", 0).what
-
-
-@pytest.mark.slow
-def test_the_long_run_tries_cases_in_another_process():
-    *_, found = trials.fuzz("mocap.payload", 0.5)
-    assert found.findings == []
-    assert found.cases > 0

@@ -2,14 +2,12 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softarm.common.batch import Workers
 from softarm.diagnosis.blind import opening, run, seal
-from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.record import record
 from softarm.schemas.model import Model
@@ -76,45 +74,6 @@ def test_a_run_never_reads_the_labels(data, tmp_path):
     assert set(answers_of(tmp_path / "none.json")) == set(CASES)
 
 
-def test_name_and_folder_of_a_case_do_not_change_the_answer(data, tmp_path):
-    run.run(data, tmp_path / "a.json", workers=Workers(1))
-    other = tmp_path / "elsewhere" / "z"
-    for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
-        shutil.copytree(data / case, other / renamed)
-    run.run(other, tmp_path / "b.json", workers=Workers(1))
-    one, two = answers_of(tmp_path / "a.json"), answers_of(tmp_path / "b.json")
-    for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
-        assert one[case]["verdict"] == two[renamed]["verdict"]
-        assert one[case]["data"] == two[renamed]["data"]
-    assert len({str(answer["verdict"]) for answer in one.values()}) == 3  # they do depend on the data
-
-
-def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_path, monkeypatch):
-    asked = []
-
-    def stops(trials, model):
-        if len(asked) == 2:
-            raise KeyboardInterrupt
-        asked.append(trials)
-        return names_gain(trials, model)
-
-    file = tmp_path / "answers.json"
-    run.run(data, tmp_path / "whole.json", workers=Workers(1))
-    monkeypatch.setitem(run.METHODS, "diagnose", stops)
-    with pytest.raises(KeyboardInterrupt):
-        run.run(data, file, workers=Workers(1))
-    assert not file.exists()
-    (tmp_path / "answers.json.kept" / "case-c.json").write_text('{"case": "case-c", "cut o')
-    seen = []
-    monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
-    run.run(data, file, workers=Workers(1))
-    assert len(seen) == 1
-    assert file.read_bytes() == (tmp_path / "whole.json").read_bytes()
-    run.run(data, file, workers=Workers(1))
-    assert len(seen) == 1
-    assert set(run.read_seconds(file)) == set(CASES)
-
-
 def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeypatch):
     file, seen = tmp_path / "answers.json", []
     monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
@@ -128,17 +87,6 @@ def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeyp
     assert len(seen) == 7
 
 
-def test_a_failure_is_an_answer_and_the_other_cases_continue(data, tmp_path, monkeypatch):
-    def falls(trials, model):
-        raise TrialError("too short")
-
-    monkeypatch.setitem(run.METHODS, "diagnose", falls)
-    run.run(data, tmp_path / "answers.json", workers=Workers(1))
-    answers = answers_of(tmp_path / "answers.json")
-    assert [answer["failure"] for answer in answers.values()] == ["TrialError: too short"] * 3
-    assert all(answer["verdict"] is None for answer in answers.values())
-
-
 def test_an_invalid_run_is_refused(data, tmp_path):
     with pytest.raises(seal.SealError, match="unknown method 'oracle'; allowed are diagnose"):
         run.run(data, tmp_path / "a.json", "oracle")
@@ -146,14 +94,6 @@ def test_an_invalid_run_is_refused(data, tmp_path):
         run.run(tmp_path / "nothing", tmp_path / "a.json")
     with pytest.raises(seal.SealError, match="outside"):
         run.run(data, data / "answers.json")
-
-
-def test_an_answer_has_the_patched_model_and_the_margins_of_its_method(data, monkeypatch):
-    answer = run.answer_case(data / "case-a", "diagnose")
-    assert Model.model_validate(answer["patched_model"]).effects == {**Model().effects, "pressure.gain": {}}
-    assert answer["margins"] == {"pressure.gain": 0.4}
-    monkeypatch.setitem(run.METHODS, "diagnose", lambda trials, model: replace(names_gain(trials, model), patched=None))
-    assert Model.model_validate(run.answer_case(data / "case-a", "diagnose")["patched_model"]) == Model()
 
 
 def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypatch):

@@ -62,20 +62,6 @@ def test_names_without_a_cause_and_for_unknown_causes_are_counted():
     assert found["failed"] == (1, 6)
 
 
-def test_every_wrong_answer_is_listed_with_the_truth():
-    found = score(
-        [
-            case("single", ["rail.lag"], effect("rail.delay"), stage="rail", removed=True),
-            case("none", [], stated="none"),
-            Scored("other", "none", (), None, "it fell"),
-        ]
-    )
-    one, other = found["wrong"]
-    assert (one["causes"], one["verdict"], one["named"][0]["name"]) == (["rail.lag (removed)"], "named", "rail.delay")
-    assert other["verdict"] == "failed: it fell"
-    assert found["by_cause"]["rail.lag (removed)"]["hits"] == 0
-
-
 def test_the_calibration_error_is_weighted_by_bin_size():
     cases = [case("single", ["rail.lag"], effect("rail.lag", confidence=0.95))] * 3
     cases += [case("single", ["rail.lag"], effect("rail.gain", confidence=0.95))]

@@ -7,7 +7,6 @@ import pytest
 from softarm.daemon.control.failsafe import TABLE
 from softarm.drivers.twin.faults import Faults
 from softarm.evaluation.soak.clients import AFTERMATH_S, FAULTS, REQUEST_S, Script
-from softarm.schemas.flights import TEST_TARGETS
 
 NEVER = 1e9
 
@@ -50,14 +49,6 @@ def test_the_script_sends_the_next_request_and_waits_for_its_effect(calm, seen, 
     assert [act.path for act in calm.acts(seen, 1.1 + REQUEST_S)] == [path]
 
 
-@pytest.mark.parametrize(
-    "seen",
-    [status("armed", "running"), status("stopping")],
-)
-def test_the_script_waits_while_a_goal_is_flown(calm, seen):
-    assert calm.acts(seen, 1.0) == []
-
-
 def test_a_stop_without_a_fault_is_unexpected_and_its_log_is_named(calm):
     calm.acts(status("armed", "running"), 1.0)
     calm.acts(status("disarmed", stop=stop("ticks_missed")), 1.1)
@@ -85,29 +76,6 @@ def test_a_fault_explains_stops_of_its_own_device_for_a_while(calm, monkeypatch,
     assert json.loads(act.path)["fault"] == "mocap_freeze"
     calm.acts(status("stopping", stop=stop(event)), 1.0 + after_s)
     assert (calm.unexpected == []) is expected
-
-
-def test_requested_stops_and_disarms_are_expected():
-    script = Script(0, fault_every_s=NEVER, change_every_s=1.0)
-    armed, asked = status("armed", "running"), []
-    for tick in range(700):
-        acts = script.acts(armed, 0.1 * tick)
-        asked += [act.path for act in acts]
-        if acts and acts[0].path in ("/api/stop", "/api/disarm"):
-            script.acts(status("stopped", stop=stop("stop_requested")), 0.1 * tick + 0.05)
-            script.acts(armed, 0.1 * tick + 0.06)
-    assert {"/api/stop", "/api/disarm", "/api/policy"} <= set(asked)
-    assert script.unexpected == []
-
-
-def test_equal_seeds_give_equal_actions():
-    def flown(seed):
-        script = Script(seed, fault_every_s=3.0, change_every_s=5.0)
-        return [script.acts(status("armed", "reached", number=n), 0.2 * n) for n in range(400)]
-
-    assert flown(1) == flown(1) != flown(2)
-    goals = [act.body for acts in flown(1) for act in acts if act.path == "/api/goal"]
-    assert {(goal["y_m"], goal["z_m"]) for goal in goals} <= {(goal.y_m, goal.z_m) for goal in TEST_TARGETS}
 
 
 def test_the_twin_has_every_fault_of_the_script():
