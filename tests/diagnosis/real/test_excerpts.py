@@ -1,13 +1,15 @@
-"""Complete diagnosis of an excerpt of a real recording."""
+"""Complete diagnosis of an excerpt of a real recording, from the tables to the patch and back."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 from scipy.io import loadmat
 
 from softarm.cli.main import main
+from softarm.diagnosis.rigs import patch
 from softarm.schemas.verdict import Verdict
 
 HERE = Path(__file__).parent / "pendulum-free"
@@ -15,14 +17,28 @@ HERE = Path(__file__).parent / "pendulum-free"
 PUBLISHED_NM = (5.0e-4, 5.4e-4)
 
 
-@pytest.mark.slow
-def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
-    answer, report = tmp_path / "verdict.json", tmp_path / "report.html"
-    outcome = CliRunner().invoke(
-        main, ["diagnose", f"{HERE}/stage.yaml", "--json", str(answer), "--report", str(report)]
-    )
+def invoke(*arguments):
+    outcome = CliRunner().invoke(main, [*map(str, arguments)])
     assert outcome.exit_code == 0, outcome.output
-    verdict = Verdict.model_validate_json(answer.read_text(encoding="utf-8"))
+    return outcome.output
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return the folder with verdict, report and patch of the excerpt."""
+    folder = tmp_path_factory.mktemp("written")
+    files = {"--json": "verdict.json", "--report": "report.html", "--patch": "whole.yaml"}
+    invoke("diagnose", HERE / "stage.yaml", *(word for key, name in files.items() for word in (key, folder / name)))
+    return folder
+
+
+def verdict_of(file):
+    return Verdict.model_validate_json(file.read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(written):
+    verdict = verdict_of(written / "verdict.json")
     assert verdict.verdict == "named"
     (found,) = verdict.effects
     assert (found.name, found.equivalents) == ("joint.coulomb_friction", ())
@@ -32,7 +48,22 @@ def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
     assert torque.low < sum(PUBLISHED_NM) / 2 < torque.high
     assert torque.high - torque.low < 0.25 * torque.value
     assert verdict.gap.after["joint"].value < 0.2 * verdict.gap.before["joint"].value
-    assert "dry friction" in report.read_text(encoding="utf-8")
+    assert "dry friction" in (written / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_patched_pendulum_has_its_friction_and_is_not_missing_it_again(written, tmp_path):
+    whole, named = written / "whole.yaml", tmp_path / "named.yaml"
+    verdict = verdict_of(written / "verdict.json")
+    named.write_text(patch.patched(HERE / "stage.yaml", verdict, calibration=False), encoding="utf-8")
+    effects, alone = (yaml.safe_load(path.read_text())["effects"] for path in (whole, named))
+    assert alone == {"joint.coulomb_friction": effects["joint.coulomb_friction"]}
+    assert effects["joint.coulomb_friction"]["torque"] == pytest.approx(verdict.effects[0].parameters["torque"].value)
+    assert effects.keys() > alone.keys()
+    assert "valid" in invoke("check", whole, "--data", HERE)
+    for patched in (whole, named):
+        invoke("diagnose", patched, "--data", HERE, "--json", tmp_path / "again.json")
+        assert (again := verdict_of(tmp_path / "again.json")).verdict == "none", again.effects
 
 
 def test_the_excerpt_is_part_of_the_recording(data):

@@ -1,5 +1,8 @@
 """Two trials of a body that shares no line with the simulator: its one fault is named with its size, and no other."""
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,6 +18,28 @@ from softarm.schemas.model import Model
 
 DEAD_TIME_S = 0.06
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the trials of a robot by the dead time of its regulator; each is flown once."""
+
+    @cache
+    def fly(dead_time_s):
+        sound = RobotParameters()
+        robot = replace(sound, regulator=replace(sound.regulator, dead_time_s=dead_time_s))
+        campaign = tmp_path_factory.mktemp("campaign")
+        for seed, kind in enumerate(("pressure-multisine", "both")):
+            record(EXCITATIONS[kind].at, campaign / kind, 8.0, robot, seed, kind=kind)
+        return read_all([campaign])
+
+    return fly
+
+
+@pytest.fixture(scope="module")
+def diagnosed(recorded):
+    """Return the answers in the order of the folder."""
+    return cache(lambda dead_time_s: diagnose(recorded(dead_time_s), Model()))
 
 
 def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
@@ -35,6 +60,11 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
 def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
     found = diagnosed(0.0)
     assert (found.verdict.verdict, found.verdict.effects, found.patched) == ("none", (), None)
+
+
+@pytest.mark.prove
+def test_a_shuffled_campaign_gets_the_same_verdict(diagnosed, recorded):
+    assert diagnose(recorded(DEAD_TIME_S)[::-1], Model()).verdict == diagnosed(DEAD_TIME_S).verdict
 
 
 @pytest.mark.prove

@@ -1,22 +1,16 @@
 """The patch of a rig: a stage.yaml of the calibrated model, which the same command diagnoses again."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs import patch
 from softarm.diagnosis.rigs.diagnose import view_of
-from softarm.schemas.verdict import Verdict
 from tests.diagnosis.rigs.recordings import SERVO
 from tests.diagnosis.verdicts import with_parameters as found
 
-PENDULUM = Path(__file__).parents[1] / "real" / "pendulum-free"
 T = np.arange(0, 4, 0.01)
 
 
@@ -36,29 +30,6 @@ def servo(tmp_path):
 
 def viewed(path, data):
     return view_of(tables.read(path, data))[0]
-
-
-def invoke(*arguments):
-    outcome = CliRunner().invoke(main, [*map(str, arguments)])
-    assert outcome.exit_code == 0, outcome.output
-    return outcome.output
-
-
-@pytest.mark.slow
-def test_a_patched_pendulum_has_its_friction_and_is_not_missing_it_again(tmp_path):
-    """From the recording of a real pendulum to its patch, and from the patch to the recording again."""
-    whole, named, again = (tmp_path / name for name in ("whole.yaml", "named.yaml", "again.json"))
-    invoke("diagnose", PENDULUM / "stage.yaml", "--patch", whole)
-    invoke("diagnose", PENDULUM / "stage.yaml", "--patch", named, "--no-calibration")
-    effects, alone = (yaml.safe_load(path.read_text())["effects"] for path in (whole, named))
-    assert alone.keys() == {"joint.coulomb_friction"}
-    assert effects.keys() > alone.keys()
-    assert 4.5e-4 < alone["joint.coulomb_friction"]["torque"] < 5.6e-4
-    assert "valid" in invoke("check", whole, "--data", PENDULUM)
-    for patched in (whole, named):
-        invoke("diagnose", patched, "--data", PENDULUM, "--json", again)
-        verdict = Verdict.model_validate_json(again.read_text())
-        assert (verdict.verdict, verdict.effects) == ("none", ())
 
 
 def test_a_patch_is_in_the_units_of_the_table_and_keeps_the_name(servo, tmp_path):
