@@ -17,12 +17,12 @@ def cells(name: str) -> list[dict[str, Any]]:
     return list(json.loads((NOTEBOOKS / name).read_text(encoding="utf-8"))["cells"])
 
 
-def run(name: str) -> dict[str, Any]:
-    """Execute all code cells and return their names."""
+def run(name: str, shown: str = "", instead: str = "") -> dict[str, Any]:
+    """Execute all code cells, one text replaced, and return their names."""
+    source = "\n".join("".join(cell["source"]) for cell in cells(name) if cell["cell_type"] == "code")
+    assert shown in source
     names: dict[str, Any] = {}
-    for cell in cells(name):
-        if cell["cell_type"] == "code":
-            exec("".join(cell["source"]), names)
+    exec(source.replace(shown, instead), names)
     return names
 
 
@@ -44,6 +44,8 @@ def test_the_notebook_of_a_flight_reaches_the_target(tmp_path: Path, monkeypatch
 
 def test_the_notebook_of_a_diagnosis_names_the_hidden_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (effect,) = run("diagnose.ipynb")["diagnosis"].verdict.effects
+    # The last of its three recordings suffices and is diagnosed in a quarter of the time.
+    names = run("diagnose.ipynb", '("sinusoid", "rail-multisine", "pressure-multisine")', '("pressure-multisine",)')
+    (effect,) = names["diagnosis"].verdict.effects
     assert effect.name == "pressure.dead_time"
     assert effect.parameters["delay"].low < 0.06 < effect.parameters["delay"].high

@@ -34,17 +34,20 @@ def reached_in_range(
     return float(fly_actions(act, task, trials, model=model).reached[: count * 2 // 3].mean())
 
 
-@pytest.mark.parametrize(
-    ("name", "least"), [("reach", 0.95), ("reach-wide", 0.80), ("reach-robust", 0.80), ("shelf", 0.92)]
-)
-def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, least):
-    policy, task = shipped(name), PRESETS[name]
-    described = PolicyMetadata.model_validate_json(policy.get_modelmeta().custom_metadata_map[METADATA_KEY])
+@pytest.mark.parametrize("name", ["reach", "reach-wide", "reach-robust", "shelf"])
+def test_a_shipped_policy_has_the_training_range_of_its_preset(name):
+    described = PolicyMetadata.model_validate_json(shipped(name).get_modelmeta().custom_metadata_map[METADATA_KEY])
+    task = PRESETS[name]
     assert described.name == name
     assert described.trained.target_y_m == task.target_y_m
     assert described.trained.target_z_m == task.target_z_m
     assert described.trained.cart_start_m == task.cart_start_m
-    assert reached_in_range(policy, task) >= least
+
+
+# `reach` and `reach-wide` fly in tests/evaluation/test_evaluation.py.
+@pytest.mark.parametrize(("name", "least"), [("reach-robust", 0.80), ("shelf", 0.92)])
+def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, least):
+    assert reached_in_range(shipped(name), PRESETS[name]) >= least
 
 
 def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():

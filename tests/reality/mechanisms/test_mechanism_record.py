@@ -39,11 +39,15 @@ def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
     assert np.ptp(found["q_track"]) > 0.1
 
 
+@pytest.fixture(scope="module")
+def scale():
+    """Return the sizes of the tilt axis, which take half a second to simulate."""
+    return scales_of(ROBOTS["camera"])["tilt"]
+
+
 @pytest.mark.parametrize("name", [*FAULTS, *UNKNOWNS])
-def test_every_fault_changes_the_recording(name, healthy):
-    fault = (FAULTS | UNKNOWNS)[name]
-    scale = scales_of(ROBOTS["camera"])["tilt"]
-    laws = {"tilt": fault.law(JointLaw(), scale, 1.0)}
+def test_every_fault_changes_the_recording(name, healthy, scale):
+    laws = {"tilt": (FAULTS | UNKNOWNS)[name].law(JointLaw(), scale, 1.0)}
     faulty = columns("camera", laws)
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
 
