@@ -57,15 +57,6 @@ def test_tip_rests_on_a_board_by_its_weight() -> None:
     assert np.abs(simulator.link_ends_m()[0] - lying).max() > 0.03  # it was the board that held it
 
 
-def test_fixed_base_holds_the_cart_and_frees_the_arm() -> None:
-    simulator = Simulator(None, 3, fixed_base=True)
-    simulator.reset(cart_position_m=[0.0, 0.1, -0.2])
-    for _ in range(30):
-        simulator.step(1.0, 15.0)
-    np.testing.assert_allclose(simulator.cart_position_m, [0.0, 0.1, -0.2], atol=1e-6)
-    assert np.abs(simulator.link_angles_rad).max() > 0.2
-
-
 def test_the_arm_alone_reproduces_the_robot_from_measurements() -> None:
     """Pressure and cart of a flight, sampled at 240 Hz, move the arm as they did in it."""
     velocity, pressure = (commanded[:45, 0] for commanded in commands.smooth(1, seed=3))

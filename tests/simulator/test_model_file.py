@@ -1,6 +1,5 @@
 """Model files: round trip, and errors with file, line, key, bounds and source."""
 
-import difflib
 import math
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.common.yaml_lines import ERRORS_MAX
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator import effects, model_file
 from softarm.simulator.model_file import ROBOT, ModelFileError
@@ -157,22 +155,3 @@ def test_missing_file_and_unknown_name_are_named(tmp_path: Path) -> None:
         model_file.load(tmp_path / "absent.yaml")
     with pytest.raises(ModelFileError, match=r"no-dely: no such file or model; did you mean no-delay\?.* seed"):
         model_file.load("no-dely")
-
-
-def test_of_thousands_of_unknown_effects_the_first_are_reported_and_the_rest_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "model.yaml"
-    path.write_text("effects:\n" + "".join(f"  rail.dely_{i}: {{delay: 1}}\n" for i in range(5000)))
-    searches = []
-    real = difflib.get_close_matches
-    monkeypatch.setattr(difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
-    with pytest.raises(ModelFileError) as error:
-        model_file.load(path)
-    *reported, rest = str(error.value).splitlines()
-    assert (
-        reported[0] == f"{path}:2: effects.rail.dely_0: unknown effect; did you mean rail.delay? "
-        "`python -m softarm.simulator.effects_page` lists them all"
-    )
-    assert rest == f"{path}: and {5000 - ERRORS_MAX} more; correct these first"
-    assert len(reported) == len(searches) == ERRORS_MAX

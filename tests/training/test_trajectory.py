@@ -10,7 +10,7 @@ from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import ceiling, planner, problem
 from softarm.training.trajectory.optimiser import OUTER, UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import library, nearest, plan, random_knots
-from softarm.training.trajectory.problem import Rollouts, interpolation
+from softarm.training.trajectory.problem import Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
 REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short for any swing
@@ -135,23 +135,6 @@ def test_a_second_guess_replaces_a_plan_that_misses(small, monkeypatch):
     again = plan(TARGETS[1:2])
     assert np.isfinite(again.reached_s[0])
     assert again.plans.steps[0] == spoilt.steps[1, 0]
-
-
-def test_interpolation_is_straight_between_knots():
-    matrix = interpolation(8)
-    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-6)
-    np.testing.assert_allclose(matrix @ np.array([0.0, 3.0, 6.0, 9.0][: matrix.shape[1]]), np.arange(8), rtol=1e-6)
-
-
-def test_initial_guesses_pass_near_their_targets_within_the_rail():
-    rollouts = Rollouts()
-    swings = library(rollouts, 0.0, 512, np.random.default_rng(0))
-    guesses = nearest(swings, TARGETS[:1], 3)
-    commands = np.einsum("tk,rkc->trc", interpolation(problem.STEPS_MAX), guesses.knots[:, 0])
-    flown = rollouts.fly(commands, np.zeros(3, dtype=np.float32))
-    misses = np.hypot(*(flown.tip_m[guesses.steps[:, 0], np.arange(3)] - TARGETS[0]).T)
-    at_rest = np.hypot(*(flown.tip_m[0, 0] - TARGETS[0]))
-    assert misses.max() < 0.05 < 0.2 < at_rest
 
 
 def test_search_and_planner_agree_on_reachable_targets(monkeypatch):

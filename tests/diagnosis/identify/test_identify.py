@@ -106,18 +106,6 @@ def test_inverse_dynamics_balances_the_springs(record):
     assert np.sqrt(np.mean((torque - expected) ** 2)) < 0.02 * np.std(expected)
 
 
-def test_differences_are_of_fourth_order():
-    errors = {}
-    for step in (0.02, 0.01):
-        t = np.arange(0, 2, step)
-        inner = slice(2, -2)
-        first, second = motion.differences(np.sin(5 * t), step)
-        exact = 5 * np.cos(5 * t), -25 * np.sin(5 * t)
-        errors[step] = [np.abs(found - true)[inner].max() for found, true in zip((first, second), exact, strict=True)]
-    assert errors[0.02][0] / errors[0.01][0] == pytest.approx(16, rel=0.02)
-    assert errors[0.02][1] / errors[0.01][1] == pytest.approx(16, rel=0.02)
-
-
 def test_a_payload_that_the_model_lacks_is_noticed_on_the_check(record):
     arm = Model().arm
     heavy = Model().model_copy(update={"arm": arm.model_copy(update={"link_mass_kg": (0.005,) * 4 + (0.25,)})})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softarm.evaluation.closing import fly
-from softarm.evaluation.closing.fly import PART, Job, Replanning, compare, draw, most
+from softarm.evaluation.closing.fly import PART, Replanning, compare, draw, most
 from softarm.evaluation.closing.outcomes import Flights
 from softarm.evaluation.runner import Runner
 from softarm.policies.base import MODELS
@@ -12,7 +12,6 @@ from softarm.schemas.config import Config
 from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Scenario
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
-from tests.evaluation.closing import cases
 
 REACH = MODELS / "reach.onnx"
 OTHER = MODELS / "reach-robust.onnx"
@@ -85,24 +84,3 @@ def test_the_replanning_policy_plans_on_the_model_of_its_file(tmp_path):
     flown = Runner(Replanning(tmp_path / "patched-model.yaml").load(), model).fly(Scenario(TEST_TARGETS[4], 0.0))
     assert flown.reached
     assert flown.stop is None
-
-
-@pytest.mark.slow
-def test_a_replanning_policy_and_an_old_one_fly_the_same_draws(tmp_path):
-    model = with_effect("rail.delay", delay=0.06)
-    model_file.save(model, tmp_path / "patched-model.yaml")
-    quick = cases.QuickReplanning(tmp_path / "patched-model.yaml")
-    job = Job(True, 0, quick, model, Config())
-    assert fly._fly(job).reached.any()
-    assert fly._fly(job).group.tolist() == list(range(PART))
-
-
-@pytest.mark.prove
-@pytest.mark.slow
-def test_the_number_of_processes_does_not_change_the_flights(monkeypatch):
-    robot = with_effect("rail.delay", delay=0.06)
-    alone = compare(REACH, OTHER, robot, Config(), 24)
-    monkeypatch.setattr(fly, "cores", lambda: 2)
-    apart = compare(REACH, OTHER, robot, Config(), 24)
-    for one, other in zip(alone, apart, strict=True):
-        assert one.reached.tolist() == other.reached.tolist()

@@ -1,13 +1,11 @@
 """Flights on wires: a separate daemon in real time, with the twin or the devices of a configuration."""
 
-from itertools import pairwise
-
 import httpx
 import pytest
 
 from softarm.daemon.config.configuration import load
 from softarm.daemon.logbook import logs
-from softarm.evaluation.closing import story, wires
+from softarm.evaluation.closing import wires
 from softarm.evaluation.closing.outcomes import NEW, OLD, REST, SWINGING
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies.base import MODELS
@@ -35,14 +33,6 @@ def test_devices_with_unknown_limits_are_not_moved():
     assert wires.refusals(Config(), findings(Config(), seen())) == []
     (beyond,) = wires.refusals(said, findings(said, seen(latency_s=0.25)))
     assert "no allowed value covers it: check the drive" in beyond
-
-
-def test_the_question_states_what_moves_and_for_how_long():
-    text = wires.what_moves(Config(), "softarm.yaml", 18)
-    for words in ("The robot of softarm.yaml will move", "between -0.25 and 0.25 m at up to 1 m/s", "up to 20 kPa"):
-        assert words in text
-    minutes = [int(wires.what_moves(Config(), "a", goals).split("about ")[1].split()[0]) for goals in (18, 36, 72)]
-    assert all(later > sooner for sooner, later in pairwise(minutes))
 
 
 def test_a_workspace_without_a_test_target_is_refused(tmp_path):
@@ -107,16 +97,3 @@ def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path
     assert found.ended_by is None  # no policy's fault
     with pytest.raises(SoftwareInTheLoopError, match="an emergency stop is latched"):
         wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
-
-
-@pytest.mark.prove
-@live
-def test_flights_before_a_crash_of_the_daemon_count(robot, tmp_path, before_the_second_goal):
-    before_the_second_goal(lambda bench: bench.daemon.kill())
-    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
-    assert found.flights == 1
-    assert found.ended is not None
-    assert found.ended_by is None
-    reported = story.sentences_of(found)
-    assert reported[0].startswith("On the wires of the robot: the old policy reaches ")
-    assert "the flights ended early" in reported[1]

@@ -70,16 +70,6 @@ def test_a_reset_leaves_other_robots_alone():
     _fly(one, other, "cpu", rng, steps=30)
 
 
-def test_a_snapshot_restores_the_motion():
-    rng = np.random.default_rng(4)
-    one, other = Simulator(robots=ROBOTS), TensorSimulator(robots=ROBOTS, device="cpu")
-    kept, ours = other.snapshot(), one.snapshot()
-    _fly(one, other, "cpu", rng, steps=5)
-    one.restore(ours)
-    other.restore(kept)
-    _fly(one, other, "cpu", rng, steps=5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS, ids=["seed", "every effect"])
 def test_the_kernel_compiles_for_a_card(model, monkeypatch):

@@ -13,8 +13,8 @@ from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.record.checkpoint import TrainingConfig
 from softarm.training.run.session import Session
-from softarm.training.task.environment import Environment, environment_of
-from softarm.training.task.reach import TASKS, ShelfTask
+from softarm.training.task.environment import Environment
+from softarm.training.task.reach import TASKS
 
 ORDERS = ("mlp-lstm", "lstm-mlp", "mlp")
 SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
@@ -76,10 +76,3 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path,
     assert golden[:, 1] == pytest.approx(np.full(len(golden), VENTED), abs=1e-6)
     action = policy.step(np.full(len(OBSERVATION), 0.3, np.float32), np.array((-0.2, 0.6), np.float32))
     assert action[1] == pytest.approx(0.0, abs=1e-4)
-
-
-def test_a_shelf_environment_ends_its_observation_with_the_depth():
-    environment = environment_of(ShelfTask(), 4, 0)
-    observation = environment.reset()
-    assert observation.shape == (4, environment.inputs) == (4, 11)
-    assert np.all((observation[:, 10] >= -0.05) & (observation[:, 10] <= 0.20))

@@ -51,14 +51,6 @@ def test_cloning_lowers_the_error_on_episodes_that_are_not_learned(pool):
     assert cloner.held_out_error(made) < 0.5 * before
 
 
-def test_held_out_episodes_are_chosen_by_the_seed(pool):
-    def held_out(seed: int) -> torch.Tensor:
-        return Cloner(network(), demonstrations(), CloningConfig(), pool, seed)._held_out.observation
-
-    assert torch.equal(held_out(1), held_out(1))
-    assert not torch.equal(held_out(1)[0], held_out(2)[0])
-
-
 def test_a_restored_learner_continues_to_the_bit(pool):
     whole, first, rest = (Cloner(network(), demonstrations(), CloningConfig(batch=8), pool, seed=3) for _ in range(3))
     for learner in (whole, whole, first):
