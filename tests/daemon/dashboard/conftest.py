@@ -138,7 +138,7 @@ class Watched:
         self._shared.goto("about:blank")
         self._desk.set_offline(False)
         self._shared.unroute_all(behavior="ignoreErrors")
-        self._shared.emulate_media(color_scheme="null")
+        self._shared.emulate_media(color_scheme="null", reduced_motion="null")
         self._shared.mouse.move(0, 0)
 
     @staticmethod

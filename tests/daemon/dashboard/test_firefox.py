@@ -8,7 +8,7 @@ from softarm.daemon.runtime.jobs import Done
 from tests.daemon.dashboard import firefox
 from tests.processes import until
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.prove  # drawing without a graphics card takes a minute of a core
 
 
 class Ready:

@@ -212,6 +212,7 @@ def test_a_diagnosis_shows_its_report_in_the_page_where_space_still_stops(page, 
         made.unlink()
 
 
-def test_a_log_is_replayed_as_a_job(page, flight):
+def test_a_log_is_replayed_as_a_job(page, flight, monkeypatch):
+    monkeypatch.setattr(verb_process, "_PROGRAM", verb_process._PROGRAM.partition("from softarm")[0])
     tab(page, "logs").locator("li", has_text="flight.mcap").get_by_role("button", name="Replay").click()
     row(page).locator("b", has_text="Replay ✓ done").wait_for(timeout=1000 * WAIT_S)
