@@ -141,10 +141,16 @@ def shared_app():
 
 
 @pytest.fixture
-def client(loop, shared_app):
+def plain(loop, shared_app):
+    """Return the application of the file, with the default configuration, on the loop of this test."""
     made, present = shared_app
     present.loop = loop
-    return Client(made, LOCAL)
+    return made
+
+
+@pytest.fixture
+def client(plain):
+    return Client(plain, LOCAL)
 
 
 @pytest.fixture

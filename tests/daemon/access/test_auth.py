@@ -28,8 +28,8 @@ def test_loopback_refuses_foreign_hosts_and_pages(client):
         assert client.get("/api/status", headers={"Host": host}).status_code == 200
 
 
-def test_loopback_refuses_foreign_pages_on_the_stream_too(loop, app, serving):
-    with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
+def test_loopback_refuses_foreign_pages_on_the_stream_too(plain, serving):
+    with serving(plain) as port, pytest.raises(InvalidStatus) as refusal:
         connect_sync(f"ws://127.0.0.1:{port}/api/stream", origin="https://evil.example")
     assert refusal.value.response.status_code == 403
     assert b"may not command this robot" in refusal.value.response.body

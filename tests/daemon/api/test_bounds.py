@@ -101,8 +101,8 @@ def test_a_later_tick_with_the_stop_confirms_it_without_its_result(silent):
 
 
 @pytest.mark.parametrize("length", [100, 5_000_000])
-def test_a_stop_does_not_wait_for_a_body(loop, app, serving, length):
-    with serving(app(loop)) as port, ExitStack() as stack:
+def test_a_stop_does_not_wait_for_a_body(loop, plain, serving, length):
+    with serving(plain) as port, ExitStack() as stack:
         request = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: %d\r\n\r\nx" % length
         assert opened(stack, port, request).recv(100).startswith(b"HTTP/1.1 200 ")
     assert [post.request.kind for post in loop.taken] == ["stop"]
@@ -118,8 +118,8 @@ def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
 @pytest.mark.parametrize(
     "sent", [b"", b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n{"], ids=["idle", "slow"]
 )
-def test_idle_clients_make_room_for_new_ones(loop, app, serving, sent):
-    with serving(app(loop)) as port, ExitStack() as stack:
+def test_idle_clients_make_room_for_new_ones(plain, serving, sent):
+    with serving(plain) as port, ExitStack() as stack:
         idle = [opened(stack, port, sent) for _ in range(160)]
         assert httpx.post(f"{LOCAL}:{port}/api/stop", timeout=5).status_code == 200
         gone = sum(is_closed(one) for one in idle)
@@ -165,22 +165,22 @@ def said_until_closed(connection: socket.socket, trickle: bytes = b"") -> bytes:
     ],
     ids=["nothing said", "a slow header", "a slow second header"],
 )
-def test_a_client_without_a_request_is_disconnected(loop, app, serving, monkeypatch, sent, trickle):
+def test_a_client_without_a_request_is_disconnected(plain, serving, monkeypatch, sent, trickle):
     monkeypatch.setattr("softarm.daemon.api.bounds.QUIET_S", 0.3)
-    with serving(app(loop)) as port, ExitStack() as stack:
+    with serving(plain) as port, ExitStack() as stack:
         said_until_closed(opened(stack, port, sent), trickle)  # ends
 
 
-def test_a_slow_body_is_refused_and_its_connection_closed(loop, app, serving, monkeypatch):
+def test_a_slow_body_is_refused_and_its_connection_closed(plain, serving, monkeypatch):
     monkeypatch.setattr("softarm.daemon.api.bounds.BODY_S", 0.3)
-    with serving(app(loop)) as port, ExitStack() as stack:
+    with serving(plain) as port, ExitStack() as stack:
         request = b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n"
         said = said_until_closed(opened(stack, port, request), b" ")
         assert said.startswith(b"HTTP/1.1 408 ")
         assert b"did not arrive within 0.3 s" in said
 
 
-def test_a_header_that_is_too_long_is_refused(loop, app, serving):
-    with serving(app(loop)) as port, ExitStack() as stack:
+def test_a_header_that_is_too_long_is_refused(plain, serving):
+    with serving(plain) as port, ExitStack() as stack:
         said = said_until_closed(opened(stack, port, b"GET / HTTP/1.1\r\nX: " + b"x" * 100_000))
         assert said.startswith(b"HTTP/1.1 400 ") or not said

@@ -21,8 +21,8 @@ LOCAL = "http://127.0.0.1"
 WAIT_S = 60  # only a server that hangs takes so long, even on a busy machine
 
 
-def test_the_server_answers_and_releases_its_port(loop, app, serving):
-    with serving(app(loop)) as port:
+def test_the_server_answers_and_releases_its_port(plain, serving):
+    with serving(plain) as port:
         assert httpx.get(f"{LOCAL}:{port}/api/status").json()["mode"] == "armed"
     with pytest.raises(httpx.ConnectError):
         httpx.get(f"{LOCAL}:{port}/api/status")
@@ -36,16 +36,16 @@ def test_a_port_that_is_taken_is_refused_with_the_next_step(loop, app, serving):
     assert "choose another api.port" in str(refusal.value)
 
 
-def test_the_server_takes_no_signals(loop, app, serving):
+def test_the_server_takes_no_signals(plain, serving):
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
-    with serving(app(loop)):
+    with serving(plain):
         assert {s: signal.getsignal(s) for s in before} == before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("query", "hz"), [("", 30), ("?hz=10", 10)])
-def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(loop, app, serving, query, hz):
-    with serving(app(loop)) as port, connect_sync(f"ws://127.0.0.1:{port}/api/stream{query}") as socket:
+def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(plain, serving, query, hz):
+    with serving(plain) as port, connect_sync(f"ws://127.0.0.1:{port}/api/stream{query}") as socket:
         socket.recv(timeout=WAIT_S)
         started = time.monotonic()
         ticks = [json.loads(socket.recv(timeout=WAIT_S))["tick"] for _ in range(8)]
@@ -76,16 +76,16 @@ def test_the_stream_has_the_requested_rate(hz, ticks_hz):
 
 
 @pytest.mark.parametrize("hz", ["0", "-1", "31", "nan", "fast"])
-def test_the_stream_refuses_an_unsupported_rate(loop, hz, app, serving):
-    with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
+def test_the_stream_refuses_an_unsupported_rate(hz, plain, serving):
+    with serving(plain) as port, pytest.raises(InvalidStatus) as refusal:
         connect_sync(f"ws://127.0.0.1:{port}/api/stream?hz={hz}")
     assert refusal.value.response.status_code == 422
     assert f"hz: is '{hz}'; allowed above 0, at most 30".encode() in refusal.value.response.body
 
 
-def test_streams_are_limited_and_an_ended_one_makes_room(loop, app, serving, monkeypatch):
+def test_streams_are_limited_and_an_ended_one_makes_room(plain, serving, monkeypatch):
     monkeypatch.setattr("softarm.daemon.api.endpoints.observation.STREAMS_MAX", 2)
-    with serving(app(loop)) as port, ExitStack() as stack:
+    with serving(plain) as port, ExitStack() as stack:
         address = f"ws://127.0.0.1:{port}/api/stream"
         first, second = (stack.enter_context(connect_sync(address)) for _ in range(2))
         first.recv(timeout=WAIT_S), second.recv(timeout=WAIT_S)
@@ -101,9 +101,9 @@ def test_streams_are_limited_and_an_ended_one_makes_room(loop, app, serving, mon
 
 
 @pytest.mark.slow
-def test_a_client_that_does_not_read_delays_no_other_and_gets_no_backlog(loop, app, serving):
+def test_a_client_that_does_not_read_delays_no_other_and_gets_no_backlog(loop, plain, serving):
     loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
-    with serving(app(loop)) as port, ExitStack() as stack:
+    with serving(plain) as port, ExitStack() as stack:
         address = f"ws://127.0.0.1:{port}/api/stream"
         pipe = small_pipe(port)
         deaf = stack.enter_context(connect_sync(address, sock=pipe, max_size=None, max_queue=1, close_timeout=0.2))
@@ -125,9 +125,9 @@ def small_pipe(port: int) -> socket.socket:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reading", [True, False])
-def test_stopping_closes_open_streams_at_once(loop, reading, app, serving):
+def test_stopping_closes_open_streams_at_once(loop, reading, plain, serving):
     with ExitStack() as stack:
-        with serving(app(loop)) as port:  # which checks how long that takes
+        with serving(plain) as port:  # which checks how long that takes
             address = f"ws://127.0.0.1:{port}/api/stream"
             good = stack.enter_context(connect_sync(address, max_size=None))
             other = stack.enter_context(connect_sync(address, max_size=None, max_queue=1, close_timeout=0.2))
