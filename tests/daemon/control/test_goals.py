@@ -9,53 +9,43 @@ from softarm.schemas.goals import Goal
 SECOND = 1_000_000_000
 
 
-def test_a_goal_is_reached_within_its_radius():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("reach", -0.2, 0.6))
-    goals.update([(-0.2, 0.5)], 5 * SECOND)
-    assert goals.status.state == "running"
-    goals.update([(-0.2, 0.5601)], 6 * SECOND)
-    assert goals.status.state == "reached"
-    assert goals.status.time_s == pytest.approx(1.0)
-    assert goals.status.closest_m == pytest.approx(0.0399)
-    assert goals.running is None
+TARGET, MIDDLE = Goal("reach", -0.2, 0.6), Goal("reach", 0.0, 0.6)
+AT, BESIDE = (-0.2, 0.6), (-0.3, 0.6)
+# Goal; updates as (time in s, tip positions, state afterwards); end of the reason, closest distance and time.
+FLIGHTS = {
+    "reached within its radius": (
+        TARGET,
+        [(5, [(-0.2, 0.5)], "running"), (6, [(-0.2, 0.5601)], "reached")],
+        (None, 0.0399, 1.0),
+    ),
+    "reached by a tip that passes before the last tick": (
+        TARGET,
+        [(0, [(0.0, 0.52)], "running"), (2, [(-0.1, 0.6), (-0.22, 0.6), AT, BESIDE], "reached")],
+        (None, 0.02, 2.0),
+    ),
+    "tip positions before the goal do not count": (TARGET, [(0, [AT, BESIDE], "running")], (None, 0.1, 0.0)),
+    "an unseen tip": (
+        MIDDLE,
+        [(0, [], "running"), (2, [], "failed")],
+        ("not reached within 2.00 s: the tip was not seen, required 40 mm", None, 2.0),
+    ),
+    "time limit": (
+        MIDDLE,
+        [(0, [(0.0, 0.5)], "running"), (1, [(0.0, 0.45)], "running"), (2, [(0.0, 0.4)], "failed")],
+        ("not reached within 2.00 s: closest distance 100 mm, required 40 mm", 0.1, 2.0),
+    ),
+}
 
 
-def test_a_tip_that_passes_the_target_before_the_last_tick_reaches_it():
+@pytest.mark.parametrize(("goal", "updates", "end"), FLIGHTS.values(), ids=FLIGHTS)
+def test_a_goal_ends_by_its_radius_or_its_time_limit(goal, updates, end):
     goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.start(Goal("reach", -0.2, 0.6))
-    goals.update([(0.0, 0.52)], 0)
-    goals.update([(-0.1, 0.6), (-0.22, 0.6), (-0.2, 0.6), (-0.3, 0.6)], 2 * SECOND)
-    assert (goals.status.state, goals.status.reason) == ("reached", None)
-    assert goals.status.closest_m == pytest.approx(0.02)
-
-
-def test_tip_positions_before_the_goal_do_not_count():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("reach", -0.2, 0.6))
-    goals.update([(-0.2, 0.6), (-0.3, 0.6)], 0)
-    assert goals.status.state == "running"
-    assert goals.status.closest_m == pytest.approx(0.1)
-
-
-def test_an_unseen_tip_fails_the_goal_with_that_reason():
-    goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.start(Goal("reach", 0.0, 0.6))
-    goals.update([], 0)
-    goals.update([], 2 * SECOND)
-    assert goals.status.state == "failed"
-    assert "the tip was not seen" in goals.status.reason
-
-
-def test_a_goal_fails_at_the_time_limit_with_the_closest_distance():
-    goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.start(Goal("reach", 0.0, 0.6))
-    goals.update([(0.0, 0.5)], 0)
-    goals.update([(0.0, 0.45)], SECOND)
-    assert goals.status.state == "running"
-    goals.update([(0.0, 0.4)], 2 * SECOND)
-    assert goals.status.state == "failed"
-    assert goals.status.reason == "not reached within 2.00 s: closest distance 100 mm, required 40 mm"
+    goals.start(goal)
+    for t_s, tips, state in updates:
+        goals.update(tips, t_s * SECOND)
+        assert goals.status.state == state
+    assert (goals.running is None) is (state != "running")
+    assert (goals.status.reason, goals.status.closest_m, goals.status.time_s) == pytest.approx(end)
 
 
 def test_a_new_goal_replaces_the_old_one():

@@ -30,6 +30,11 @@ def test_an_unsupported_python_is_a_problem(python, state):
     assert found(replace(HERE, python=python))["Python"].state is state
 
 
+def test_the_version_is_shown_once_outside_a_checkout():
+    assert found(replace(HERE, revision="unknown, softarm 1.0"))["softarm"].figure == "1.0"
+    assert found(HERE)["softarm"].figure == "1.0 (abc)"
+
+
 def test_a_missing_or_old_package_is_a_problem_in_the_core_only():
     lacking = (Package("numpy", "numpy>=2", "1.26", False), Package("mcap", "mcap>=1", None, False))
     findings = found(replace(HERE, core=lacking, extras={"sim": lacking}))

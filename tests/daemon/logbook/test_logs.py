@@ -92,7 +92,7 @@ def unfinished(directory: Path, ticks) -> Path:
 
 @pytest.mark.slow
 @settings(
-    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
 @given(ticks=st.lists(tick, min_size=1, max_size=8))
 def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):

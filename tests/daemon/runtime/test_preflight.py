@@ -61,7 +61,7 @@ def test_checking_a_port_leaves_it_free(look, tmp_path):
     failed = []
 
     def tries():
-        for _ in range(15):
+        for _ in range(6):
             failed.extend(look(text, wires=False).problems)
 
     threads = [threading.Thread(target=tries) for _ in range(2)]
