@@ -205,12 +205,15 @@ class Examination:
         return decision
 
     def named(self, decision: Decision) -> Fit:
-        """Return the named effects alone, with their fitted sizes: the model of figures, calibration and patch."""
+        """Return the fit of the named effects alone: the model of figures, calibration and patch."""
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
         kept = [i for i, name in enumerate(chosen.names) if name in names]
         if not kept:
             return self.choice.null_model
-        return chosen if len(kept) == len(chosen.effects) else self.verdict_problem.part(chosen, kept)
+        if len(kept) == len(chosen.effects):
+            return chosen
+        named = tuple(chosen.effects[i] for i in kept), tuple(chosen.u[i] for i in kept)
+        return self.verdict_problem.fit([named], self.thresholds.search.rounds)[0]
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:
         """Return a fit without each of its effects, by the name of the missing one."""
