@@ -319,11 +319,32 @@ class Search:
         while len(fit.effects) > 1:
             self._begin_removal(fit)
             gains = [(self.gain(less, fit), less) for less in self.reduced(fit)]
-            weak = [(g.value, less) for g, less in gains if not self.is_gain(g) or self.is_correction(less, g)]
+            weak = [(g.value, less) for g, less in gains if self._is_weak(less, g)]
             if not weak:
                 return fit
-            fit = min(weak, key=lambda each: each[0])[1]
+            weak.sort(key=lambda each: each[0])
+            fit = self._without_half(fit, [less for _, less in weak]) or weak[0][1]
         return fit
+
+    def _is_weak(self, less: Fit, gain: Gain) -> bool:
+        """Return whether the effects that a fit lacks are unnecessary, by the gain with them."""
+        return not self.is_gain(gain) or self.is_correction(less, gain)
+
+    def _without_half(self, fit: Fit, rests: Sequence[Fit]) -> Fit | None:
+        """Return a fit without half of the effects that are unnecessary one by one, if they are unnecessary together.
+
+        A quarter, and so on, is tried next. rests: the fit without each of these effects, least gain first.
+        """
+        count = len(rests) // 2
+        while count > 1:
+            names = set[str]().union(*(set(fit.names) - set(less.names) for less in rests[:count]))
+            kept = [i for i, name in enumerate(fit.names) if name not in names]
+            start = tuple(fit.effects[i] for i in kept), tuple(fit.u[i] for i in kept)
+            (less,) = self.problem.fit([start], self.thresholds.search.rounds)
+            if self._is_weak(less, self.gain(less, fit)):
+                return less
+            count //= 2
+        return None
 
     def _begin_removal(self, fit: Fit) -> None:
         count, parameters = len(fit.effects), len(fit.x)

@@ -23,9 +23,12 @@ def reduced(effects: int, parameters: float) -> float:
 
 
 def backward(effects: int, parameters: int) -> float:
-    """Return the usual number of rollouts of a search backward from all effects."""
-    share = parameters / max(effects, 1)
-    return full(parameters) + sum(reduced(n, share * n) for n in range(2, effects + 1))
+    """Return the usual number of rollouts of a search backward from all effects, which removes half of them a step."""
+    share, found = parameters / max(effects, 1), full(parameters)
+    while effects > 1:
+        found += reduced(effects, share * effects)
+        effects -= max((effects - 1) // 2, 1)
+    return found
 
 
 class Work:
@@ -35,7 +38,7 @@ class Work:
         """Begin without a plan; `report` gets the current step and the finished share, 0 to 1."""
         self._report = report
         self._done, self._step, self._counted, self._left = 0.0, 0.0, 0.0, 0.0
-        self._text = ""
+        self._text, self._share = "", 0.0
 
     def begin(self, text: str, rollouts: float, further: float) -> None:
         """Begin a step, which finishes the one before; `rollouts` are planned for it and `further` ones after it."""
@@ -48,4 +51,5 @@ class Work:
         self._counted += rollouts
         done, total = self._done + min(self._counted, self._step), self._done + self._step + self._left
         if total > 0:
-            self._report(self._text, done / total)
+            self._share = max(self._share, done / total)
+            self._report(self._text, self._share)

@@ -18,6 +18,7 @@ TRUE_PACE, OTHER_WELL = 0.6, 2.3  # rad/s
 REFITTING = replace(RIG, search=replace(RIG.search, refit=True))
 
 
+WAVES = tuple(f"stage.wave{i}.size" for i in range(8))
 RATE = candidate(PACE, -4.0, 4.0, 0.3, 0.4, -0.4)
 HEIGHT = candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
 
@@ -74,6 +75,35 @@ def test_a_rig_gets_no_further_effect_within_two_floors(searched, thresholds, he
     monkeypatch.setattr(search, "is_gain", lambda gain: True)
     both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (height,)))])[0]
     assert search.pruned(both).names == ("stage.pace", "stage.level")[:kept]
+
+
+@dataclass
+class _Waves(Gauge):
+    """A swing that two effects express alike, and waves that are absent."""
+
+    acts = frozenset(WAVES)
+
+    def __post_init__(self):
+        self._stamp(2, RATE_HZ, LENGTH_S)
+        self._measure({WAVES[0]: 0.8}, NOISE)
+
+    def _predict(self, point):
+        shapes = (np.sin(2 * self.t_s), 0.9 * np.sin(2 * self.t_s), *(np.cos(k * self.t_s) for k in range(3, 9)))
+        return sum(point.get(path, 0.0) * shape for path, shape in zip(WAVES, shapes, strict=True))
+
+
+def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_the_cause(monkeypatch):
+    setup = Setup([_Waves()], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
+    effects = tuple(candidate(path, -2.0, 2.0, 0.3, 0.3) for path in WAVES)
+    search = Search(setup.weighed(), setup.plain(), ("stage",), effects, RIG)
+    search.null_model()
+    (fit,) = search.problem.fit([(effects, ((0.4,), (0.44,), *[(0.01,)] * 6))])
+    sizes, reduced = [], search.reduced
+    monkeypatch.setattr(search, "reduced", lambda each: (sizes.append(len(each.effects)), reduced(each))[1])
+    left = search.pruned(fit)
+    assert left.names in (("stage.wave0",), ("stage.wave1",))
+    assert len(sizes) < 6  # one by one: eight, seven, ... two
+    assert search.is_gain(search.gain(search.problem.fit([((), ())])[0], left))
 
 
 def test_only_good_candidates_get_a_full_fit(searched, monkeypatch):
