@@ -181,10 +181,9 @@ def examine(
     """Diagnose one stage from its trials, or from the most informative stretches if the budget binds."""
     view, used = view_of(trials)
     notes: tuple[str, ...] = ()
-    build = VIEWS[stage_of(trials).kind]
-    if (reduced := subsample.within(budget_s, view, used, build)) is not None:
+    if (reduced := subsample.within(budget_s, view, used)) is not None:
         used, note = reduced
-        view, notes = build(used.trials), (note,)
+        view, notes = VIEWS[stage_of(trials).kind](used.trials), (note,)
     kinds = [t.kind for t in used.trials]
     setup = Setup([view], nuisances(view), kinds, used.origins, view.block_s)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG

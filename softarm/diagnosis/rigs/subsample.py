@@ -5,10 +5,11 @@ plan counts rollouts: the same data and budget give the same stretches, and the 
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine import work
@@ -44,23 +45,26 @@ class Stretches:
         return Stretches(tuple(self.trials[i] for i in kept), tuple(self.origins[i] for i in kept))
 
 
-def within(
-    budget_s: float, view: RigView, stretches: Stretches, build: Callable[[Sequence[Trial]], RigView]
-) -> tuple[Stretches, str] | None:
+def within(budget_s: float, view: RigView, stretches: Stretches) -> tuple[Stretches, str] | None:
     """Return the most informative stretches of a view's trials, and a note about them; None if all fit the budget."""
     known = candidates(view)
-    share = PLANNED * budget_s / planned_s(view, known)
+    whole_s = planned_s(view, known)
+    share, number = PLANNED * budget_s / whole_s, view.trial
     if share >= 1:
         return None
     if not view.fits_starts:
-        stretches = stretches.cut_into(cut(trial, view.block_s, view.blocks_each) for trial in stretches.trials)
-        view = build(stretches.trials)
-    sizes = np.bincount(view.trial, minlength=len(stretches.trials)).astype(float)
-    kept = most_informative(information(view, known), sizes, [trial.kind for trial in stretches.trials], share)
+        parts = [*pieces(view, stretches.trials, share)]
+        number = _pieces_of_samples(view, parts)
+        stretches = stretches.cut_into(parts)
+    sizes = np.bincount(number, minlength=len(stretches.trials)).astype(float)
+    kept = most_informative(information(view, known, number), sizes, [t.kind for t in stretches.trials], share)
+    used = float(sizes[kept].sum() / sizes.sum())
     note = (
         f"{view.stage}: to keep its budget of {budget_s:.3g} s, the diagnosis uses the {len(kept)} most informative of "
-        f"{len(sizes)} stretches, {sizes[kept].sum() / sizes.sum():.0%} of the samples; --budget sets another"
+        f"{len(sizes)} stretches, {used:.0%} of the samples; --budget sets another"
     )
+    if used * whole_s > budget_s:
+        note += f"; these are the fewest of which some can be held out, and take about {used * whole_s:.2g} s"
     return stretches.part(kept), note
 
 
@@ -70,24 +74,42 @@ def planned_s(view: RigView, known: Sequence[Candidate]) -> float:
     return work.backward(len(known), parameters) * view.rollout_s
 
 
-def cut(trial: Trial, block_s: float, blocks: int) -> tuple[Trial, ...]:
-    """Cut a recording into stretches of a few blocks; each keeps the whole input, whose past acts on it."""
-    t = trial.channels["measured"].t_s
-    parts = windows(trial, max(blocks * block_s, blocks / 4 * float(t[-1] - t[0]) / PIECES_MOST))
+def pieces(view: RigView, trials: Sequence[Trial], share: float) -> Iterator[tuple[Trial, ...]]:
+    """Yield the stretches of each recording: of a few blocks, or fewer if `KIND_LEAST` of a kind exceed a share."""
+    lengths_s = [float(t[-1] - t[0]) for t in (trial.channels["measured"].t_s for trial in trials)]
+    each_s = share * sum(lengths_s) / (KIND_LEAST * len({trial.kind for trial in trials}))
+    for trial, length_s in zip(trials, lengths_s, strict=True):
+        usual_s = max(view.blocks_each * view.block_s, view.blocks_each / 4 * length_s / PIECES_MOST)
+        yield cut(trial, min(usual_s, max(each_s, view.block_s)))
+
+
+def cut(trial: Trial, seconds: float) -> tuple[Trial, ...]:
+    """Cut a recording into stretches of about this length; each keeps the whole input, whose past acts on it."""
+    parts = windows(trial, seconds)
     return tuple(replace(part, channels={**trial.channels, "measured": part.channels["measured"]}) for part in parts)
 
 
-def information(view: RigView, known: Sequence[Candidate]) -> Array:
-    """Return the information of each of a view's trials about effects and nuisances, [W, p].
+def _pieces_of_samples(view: RigView, parts: Sequence[Sequence[Trial]]) -> NDArray[np.int64]:
+    """Return the number of the stretch of each of a view's samples, [M]; parts: stretches of each trial."""
+    found, first = np.empty(len(view.trial), dtype=np.int64), 0
+    for span, mine in zip(slices(view.trial), parts, strict=True):
+        later = [part.channels["measured"].t_s[0] for part in mine[1:]]
+        found[span] = first + np.searchsorted(later, view.t_s[span], side="right")
+        first += len(mine)
+    return found
+
+
+def information(view: RigView, known: Sequence[Candidate], number: NDArray[np.int64]) -> Array:
+    """Return the information of each stretch about effects and nuisances, [W, p]; number: stretch of each sample [M].
 
     It is the diagonal of the normal matrix of usual changes, in squares of the noise floor.
     """
     points = [point_of((each,), (each.starts[0],)) for each in known if each.starts]
     points += [dict(each.point) for each in nuisances(view)]
-    base, parts, found = view.gap([{}])[0], slices(view.trial), []
+    base, found = view.gap([{}])[0], []
     for point in points:
         squares = (np.nan_to_num(view.gap([point])[0] - base) / view.floor) ** 2
-        found.append([float(squares[part].sum()) for part in parts])
+        found.append(np.bincount(number, squares.sum(axis=1)).astype(float))
     return np.array(found).T
 
 

@@ -33,7 +33,7 @@ def reduced(trials: list[Trial], share: float) -> tuple[Stretches, str] | None:
     """Return what a budget keeps that pays for a share of the data."""
     view, whole = view_of(trials)
     budget_s = share * subsample.planned_s(view, candidates(view)) / subsample.PLANNED
-    return within(budget_s, view, whole, TrackingView)
+    return within(budget_s, view, whole)
 
 
 def test_a_rare_effect_outweighs_more_of_the_same():
@@ -51,7 +51,7 @@ def test_every_kind_of_excitation_stays_for_the_held_out_data():
 
 def test_stretches_hold_every_sample_once_and_the_whole_input():
     trial = recordings()[0]
-    parts = subsample.cut(trial, 1.5, 4)
+    parts = subsample.cut(trial, 6.0)
     assert len(parts) == len({part.name for part in parts}) == 7  # stretches of four blocks
     np.testing.assert_array_equal(np.concatenate([part.channels["measured"].t_s for part in parts]), T)
     assert all(part.channels["command"] is trial.channels["command"] for part in parts)
@@ -67,6 +67,16 @@ def test_a_budget_keeps_the_stretches_that_move():
     view = TrackingView(used.trials)
     setup = Setup([view], nuisances(view), [trial.kind for trial in used.trials], used.origins)
     assert setup.held_out == "kind"
+
+
+def test_a_small_budget_takes_shorter_stretches_of_every_kind():
+    used, note = reduced(recordings(), 0.15)
+    samples = sum(len(trial.channels["measured"].t_s) for trial in used.trials)
+    assert samples < 1.3 * 0.15 * 3 * len(T)
+    assert "the fewest" not in note
+    fewest, note = reduced(recordings(), 0.001)
+    assert len(fewest.trials) == 3 * KIND_LEAST
+    assert "these are the fewest of which some can be held out, and take about" in note
 
 
 def test_the_report_says_which_part_was_used():
