@@ -44,7 +44,8 @@ def candidates(view: RigView) -> tuple[Candidate, ...]:
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:
     """Return the parameters that are fitted within their boxes next to every candidate."""
-    widths, found = _widths(view), []
+    steps = {path: float(values[1] - values[0]) for path, values in view.curved.items()}
+    widths, found = {**_widths(view), **steps}, []
     known = {f"{e.name}.{p.name}".partition(".")[2] for e in view.effects for p in e.parameters}
     for effect in view.effects:
         for p in effect.parameters:

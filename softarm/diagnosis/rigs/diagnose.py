@@ -84,6 +84,27 @@ class Finding:
     held_out: HeldOut
     vocabulary: tuple[Effect, ...]
     warnings: tuple[str, ...]
+    driven_by: frozenset[str]  # stages whose measured motion loads this stage
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Return whether more than noise remains of the gap."""
+        return self.decision.kind in ("unknown", "incomplete") or self.decision.noise
+
+    def rated(self, found: Mapping[str, "Finding"]) -> "Finding":
+        """Return the finding without confidences if the motion that loads its stage is doubtful; found: by stage.
+
+        A wrong encoder of a driven joint shows in the joint that carries it, where other effects resemble it.
+        """
+        doubtful = [name for name in sorted(self.driven_by & found.keys()) if found[name].is_unexplained]
+        if not doubtful or all(effect.confidence is None for effect in self.named):
+            return self
+        text = (
+            f"{self.answer.stage}: not rated, because the measured motion of {', '.join(doubtful)} loads it and has a "
+            "gap of its own without a cause"
+        )
+        named = tuple(effect.model_copy(update={"confidence": None}) for effect in self.named)
+        return replace(self, named=named, warnings=(*self.warnings, text))
 
 
 def diagnose_table(
@@ -120,7 +141,7 @@ def diagnose_table(
     for _, finding in as_they_come(work, [own[name] for name in names], processes):
         found[finding.answer.stage] = finding
         report(finding.answer.stage, len(found) / len(names))
-    stages = [found[name] for name in names]
+    stages = [found[name].rated(found) for name in names]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
     answers = [stage.answer for stage in stages]
@@ -185,12 +206,27 @@ def examine(
         used, note = reduced
         view, notes = VIEWS[stage_of(trials).kind](used.trials), (note,)
     kinds = [t.kind for t in used.trials]
-    setup = Setup([view], nuisances(view), kinds, used.origins, view.block_s)
+    setup = settled(view, kinds, used.origins)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
     thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view))
     finding = _Stage(view, used, found).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))
+
+
+def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
+    """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap."""
+
+    def setup() -> Setup:
+        return Setup([view], nuisances(view), kinds, origins, view.block_s)
+
+    for path, values in view.curved.items():
+        losses = []
+        for value in values:
+            view.assume(path, value)
+            losses.append(setup().plain().losses([((), ())])[0])
+        view.assume(path, values[int(np.argmin(losses))])
+    return setup()
 
 
 def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:
@@ -237,6 +273,7 @@ class _Stage:
             held_out=found.setup.held_out,
             vocabulary=view.effects,
             warnings=tuple(self._warnings()),
+            driven_by=view.driven_by,
         )
 
     def _answer(self) -> StageAnswer:

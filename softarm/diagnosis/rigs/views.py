@@ -64,6 +64,9 @@ class RigView:
         restarts_few_effects: whether models with few effects are also fitted from their own starting values
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
         blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
+        curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
+            value that leaves the smallest gap becomes that of the nominal model.
+        driven_by: stages whose measured motion loads this stage.
         step_cost_s: processor time of a search per rollout and integration step, s; measured once.
     """
 
@@ -72,6 +75,8 @@ class RigView:
     restarts_few_effects = False
     blocks_each = 4
     step_cost_s = 0.07e-6
+    curved: Mapping[str, Array] = {}
+    driven_by: frozenset[str] = frozenset()
     _each = 1  # integration steps per sample
     _known: dict[str, float]
 
@@ -147,6 +152,10 @@ class RigView:
         """
         pair = f"{self.stage}.dead_time", f"{self.stage}.latency"
         return {pair[0]: pair[1:]} if {effect.name for effect in self.effects} >= set(pair) else {}
+
+    def assume(self, path: str, value: float) -> None:
+        """Set 'effect.parameter' of the nominal model."""
+        self._known[path] = value
 
     @property
     def tolerances(self) -> Mapping[str, float]:

@@ -1,7 +1,7 @@
 """Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -162,6 +162,10 @@ class Mechanism:
             zero = load - by_position * qpos[k, at] - by_speed * qvel[k, dof]
             found[:, k] = inertia, zero, by_position, by_speed
         return found
+
+    def coupled(self, joint: Joint, names: Iterable[str]) -> frozenset[str]:
+        """Return which of some other joints carry a joint or are carried by it."""
+        return frozenset(n for n in names if n != joint.name and {*joint.bodies} & {*self.joint(n).bodies})
 
     def last_link(self, joint: Joint) -> Link:
         """Return the link at the end of the mechanism behind a joint."""

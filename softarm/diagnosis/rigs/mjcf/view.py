@@ -1,7 +1,7 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -53,8 +53,8 @@ OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
 # The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
 ZERO_APART = 20
-# Tolerance of the travel over which friction bends, in its usual value.
-GIVE_TIMES = 3.0
+# Travels over which a model's friction may bend, in its usual value.
+GIVES = np.linspace(0.0, 4.0, 9)
 
 
 class JointView(RigView):
@@ -75,10 +75,14 @@ class JointView(RigView):
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
+        self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
         self._refuse_mistakes(trials)
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
-        self._known = neutral_values(own) | self._nominal() | given_values(stage, own)
+        given = given_values(stage, own)
+        self._known = neutral_values(own) | self._nominal() | given
+        bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
+        self.curved = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
         window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
         self._each = self._substeps()
         self._drives = lru_cache(64)(self._driven)
@@ -254,11 +258,11 @@ class JointView(RigView):
     @property
     def tolerances(self) -> Mapping[str, float]:
         """Errors that a good nominal model may have, by 'effect.parameter'."""
-        s = self._scales
+        s, give = self._scales, self._known["coulomb_friction.give"]
         own = {
             "spring.stiffness": OF_OWN * self._joint.spring,
             "coulomb_friction.torque": max(OF_OWN * self._joint.dry, OF_FORCE * s.usual),
-            "coulomb_friction.give": GIVE_TIMES * s.give,
+            "coulomb_friction.give": max(give, GIVES[-1] * s.give - give),
             "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
             "sensor_bias.bias": self._zero,
@@ -302,12 +306,15 @@ class JointView(RigView):
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with the mass of each body, [q, M, 1]."""
-        base, found = self._gap({}), []
-        for name in self.own_nuisances:
-            change = Change(mass_share=OF_OWN, body=name.partition(".mass_")[2])
-            terms = [self._mechanism.terms(self._joint, around, change) for around in self._around]
-            found.append(self._gap({}, terms) - base)
+        base = self._gap({})
+        found = [self._gap({}, terms) - base for terms in self._with_heavier_bodies]
         return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
+
+    @cached_property
+    def _with_heavier_bodies(self) -> list[list[Array]]:
+        """Rigid-body terms of all trials with each body behind the joint heavier."""
+        changes = [Change(mass_share=OF_OWN, body=name.partition(".mass_")[2]) for name in self.own_nuisances]
+        return [[self._mechanism.terms(self._joint, each, change) for each in self._around] for change in changes]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
