@@ -6,7 +6,7 @@ from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 
-from softarm.reality.rigs.faults import FAULTS, Fault, Patch
+from softarm.reality.rigs.faults import FAULTS, Patch
 from softarm.reality.rigs.presets import RIGS, Kind, Rig
 
 T = TypeVar("T")
@@ -17,6 +17,8 @@ SHARES: Final[Mapping[Category, float]] = {
     "single": 0.24, "half": 0.12, "two": 0.12, "set": 0.16, "none": 0.14, "unknown": 0.22,
 }  # fmt: skip
 USUAL = ("steps", "holds", "sines", "chirp", "multisine")
+# Fields of a fault that say which names are right.
+RIGHT = ("names", "tied", "must", "near", "also")
 SWINGS = ("small swing", "medium swing", "large swing")
 # Two faults of one family are hard to distinguish: a case never has both.
 _FAMILIES = (
@@ -80,7 +82,7 @@ class Cause:
 
     fault: str
     settings: Patch
-    right: Fault
+    right: Mapping[str, list[str]]  # names of effects in the fields `RIGHT` of the fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,7 @@ class RigCase:
                 "fault": c.fault,
                 "settings": {n: np.ravel(x).tolist() if isinstance(x, tuple) else x for n, x in c.settings.items()},
             }
-            | {name: sorted(getattr(c.right, name)) for name in ("names", "tied", "must", "near", "also")}
+            | dict(c.right)
             for c in self.causes
         ]
         return {
@@ -161,7 +163,7 @@ def case_of(
     """
     machine, random = RIGS[rig], np.random.default_rng((seed, 2))
     causes = tuple(_cause(machine, name, strength, random) for name in faults)
-    unknown = any(not c.right.names for c in causes)
+    unknown = any(not c.right["names"] for c in causes)
     category: Category = "none" if not faults else "unknown" if unknown else "two" if len(faults) > 1 else "single"
     return RigCase(
         f"{rig}-{'-'.join(faults) or 'healthy'}".replace(" ", "-"), machine, category, causes, strength,
@@ -225,7 +227,7 @@ def _cause(rig: Rig, name: str, strength: float, random: np.random.Generator, ti
     settings = fault.draw(rig, strength, random)
     if tie:
         fault = replace(fault, names=fault.names | tie.must, tied=fault.tied | tie.may, must=tie.must)
-    return Cause(name, settings, fault)
+    return Cause(name, settings, {each: sorted(getattr(fault, each)) for each in RIGHT})
 
 
 def _tied(rig: Rig, random: np.random.Generator, usual: tuple[str, ...]) -> tuple[tuple[Cause, ...], tuple[str, ...]]:
