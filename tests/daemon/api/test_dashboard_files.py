@@ -5,7 +5,7 @@ from importlib import resources
 
 import pytest
 
-from softarm.daemon.api.endpoints.dashboard import POLICY, STOP_PORT, TYPES, stop_source
+from softarm.daemon.api.endpoints.dashboard import POLICY, STOP_PORT, TYPES, DashboardFiles, stop_source
 from softarm.schemas.config import Config
 
 FILES = resources.files("softarm.daemon.dashboard")
@@ -95,3 +95,8 @@ def test_the_page_carries_the_stop_port_for_its_script(silent, app, client_of):
     for port in (8081, None):
         page = client_of(app(loop, stop_port=lambda port=port: port)).get("/").text
         assert STOP_PORT.format(port=port or "") in page
+
+
+def test_the_page_has_at_most_250_kb():
+    served = DashboardFiles(lambda: None)._files
+    assert sum(len(file.content) for file in served.values()) <= 250_000

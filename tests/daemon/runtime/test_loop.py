@@ -286,3 +286,8 @@ def test_a_failed_rehearsal_ends_rehearsals_and_nothing_else(broken, caplog):
         rehearsal.tick(inputs, rig.controller.tick(inputs), {})
     assert len(calls) == 1
     assert "a rehearsal of the control tick failed" in caplog.text
+
+
+def test_the_loop_works_with_a_thousand_open_descriptors(many_descriptors):
+    with many_descriptors(), Loop() as loop:
+        loop.until(lambda outputs: outputs.tick >= 3)

@@ -149,3 +149,10 @@ def test_a_written_case_can_be_read_and_a_partial_one_is_written_again(tmp_path)
     assert not (data / case.name / "trial-1" / "left.csv").exists()
     other = read_trial(fresh / case.name / "trial-3")
     assert not np.array_equal(other.channels["mocap"]["link5_y"][:100], trial.channels["mocap"]["link5_y"][:100])
+
+
+def test_names_reveal_nothing(cases):
+    assert len({case.name for case in cases}) == len(cases)
+    by_name = [case.kind for case in sorted(cases, key=lambda case: case.name)]
+    assert by_name != sorted(by_name)
+    assert {trial.folder for case in cases for trial in case.planned} == {f"trial-{i}" for i in range(1, 9)}
