@@ -192,8 +192,8 @@ def test_a_chart_shows_its_newest_value_and_the_one_under_the_pointer(page, robo
     page.locator("#charts-note", has_text=re.compile(r"\d+\.\d s before the pause")).wait_for()
     box = over.bounding_box()
     seen = set()
-    for twelfth in range(1, 12):  # the pressure changed within these seconds
-        page.mouse.move(box["x"] + box["width"] * twelfth / 12, box["y"] + 40)
+    for quarters_s in range(1, 40):  # the pressure changed within these seconds
+        page.mouse.move(box["x"] + box["width"] * quarters_s / 40, box["y"] + 40)
         page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
         seen.add(tuple(pressure.all_inner_texts()))
     assert len(seen | {tuple(newest)}) > 2

@@ -58,11 +58,11 @@ def test_checking_a_port_leaves_it_free(look, tmp_path):
         other.bind(("127.0.0.1", 0))
         port, stop_port = one.getsockname()[1], other.getsockname()[1]
     text = f"recorder: {{directory: {tmp_path}/logs}}\napi: {{port: {port}, stop_port: {stop_port}}}\n"
-    failed = []
+    failed = list(look(text, wires=False).problems)  # writes the file, which the threads only read
 
     def tries():
         for _ in range(6):
-            failed.extend(look(text, wires=False).problems)
+            failed.extend(preflight.look(tmp_path / "arm.yaml", False, False).problems)
 
     threads = [threading.Thread(target=tries) for _ in range(2)]
     for thread in threads:
