@@ -185,3 +185,10 @@ def _fastest_link(damping, stiffness, rate_hz):
 @pytest.mark.parametrize(("damping", "stiffness"), [(-0.9, 2.0), (-0.9, 0.5), (-0.8, 2.0)])
 def test_a_stiff_arm_with_little_damping_gains_no_energy_at_240_hz(damping, stiffness):
     assert _fastest_link(damping, stiffness, 240) < 1.2 * _fastest_link(damping, stiffness, 2400)
+
+
+def test_only_stiff_and_undamped_arms_take_finer_substeps():
+    ordinary = Simulator(robots=2, overrides={"arm.damping.scale": [-0.8, 1.0], "arm.stiffness.scale": [0.0, 2.0]})
+    assert ordinary.prepare(1 / 30)[2] == 8
+    undamped = Simulator(robots=2, overrides={"arm.damping.scale": [-0.9, 1.0], "arm.stiffness.scale": 2.0})
+    assert undamped.prepare(1 / 30)[2] == 15

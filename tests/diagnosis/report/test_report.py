@@ -328,6 +328,15 @@ def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_rest():
     assert "from 20 to 10 mm RMS (50 % less, 95 % interval 40 to 60)" in shown["chain"]
 
 
+def test_a_long_stage_name_leaves_room_for_its_share():
+    long = "left_forearm_roll_joint"
+    where = Where(stage=long, share={long: 0.004}, regime="throughout")
+    case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"where": where}))
+    page = report.render(case)
+    assert f">{long[:12]}…<" in page
+    assert "&lt; 1 %" in page
+
+
 def test_the_table_of_a_rig_explains_each_member_of_a_set():
     of_a_set = effect("axis.deadband", "axis.backlash", width=(0.02, 0.01, 0.03, "rad"))
     case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"effects": (of_a_set,)}))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.evaluation.soak import growth
-from softarm.evaluation.soak.growth import slope
+from softarm.evaluation.soak.growth import Slope, judge, slope
 
 # A process of its own: in one that has run other tests the system takes back and gives again what it likes.
 GROWS = """
@@ -64,3 +64,8 @@ def test_too_few_samples_are_undecided():
     found = slope(HOURS[:10], HOURS[:10], 2.0)
     assert (math.isnan(found.value), found.verdict) == (True, "too short to decide")
     assert slope([], [], 2.0).verdict == "too short to decide"
+
+
+def test_only_quantities_that_are_not_flat_are_reported():
+    reported = judge({"memory": Slope(5.0, 4.0, 6.0, 2.0), "threads": Slope(0.0, 0.0, 0.0, 0.5)}, "hour")
+    assert reported == ["memory grows: 5 per hour (4 to 6), allowed 2"]

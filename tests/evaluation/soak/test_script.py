@@ -90,3 +90,16 @@ def test_the_twin_has_every_fault_of_the_script():
 def test_faults_name_existing_events():
     for _, _, beginnings in FAULTS.values():
         assert all(any(name.startswith(begins) for name in TABLE) for begins in beginnings)
+
+
+def test_requested_stops_and_disarms_are_expected():
+    script = Script(0, fault_every_s=NEVER, change_every_s=1.0)
+    armed, asked = status("armed", "running"), []
+    for tick in range(700):
+        acts = script.acts(armed, 0.1 * tick)
+        asked += [act.path for act in acts]
+        if acts and acts[0].path in ("/api/stop", "/api/disarm"):
+            script.acts(status("stopped", stop=stop("stop_requested")), 0.1 * tick + 0.05)
+            script.acts(armed, 0.1 * tick + 0.06)
+    assert {"/api/stop", "/api/disarm", "/api/policy"} <= set(asked)
+    assert script.unexpected == []

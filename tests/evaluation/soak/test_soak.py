@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.evaluation.soak import lockstep, page, realtime
+from softarm.evaluation.soak.clients import Unexpected
 from softarm.policies.hold import Hold
 from softarm.policies.pid import Pid
 
@@ -39,6 +40,12 @@ def test_an_unrequested_stop_is_reported(monkeypatch):
     monkeypatch.setattr(lockstep.registry, "load", lambda name: Hold())
     assert "does not move to targets" in lockstep.soak(MINUTE / 20, 1, "hold", lambda share: None).unexpected[0].what
     assert any("in lockstep: after" in line for line in page.problems(None, stepped))
+
+
+def test_a_stop_is_reported_with_its_log():
+    odd = [Unexpected(7.0, "stopped: for nothing", "logs/one.mcap")]
+    real = realtime.Soaked(1, 1.0, 0.8, [], {}, {"goals": 3}, odd, 0.2, 12.0)
+    assert page.problems(real, None) == ["in real time: after 7 s: stopped: for nothing (log: logs/one.mcap)"]
 
 
 def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softarm.reality.rigs import excitation
 from softarm.reality.rigs.case import case_of, draw
 from softarm.reality.rigs.faults import FAULTS
 from softarm.reality.rigs.presets import RIGS
@@ -57,14 +58,14 @@ def test_every_case_matches_its_category():
                 assert len(case.causes) == 1
 
 
-@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
-def test_half_the_strength_weakens_every_fault(rig):
-    for name, fault in FAULTS[rig.plant].items():
-        for seed in range(5):
-            whole, half = (fault.draw(rig, size, np.random.default_rng(seed)) for size in (1.0, 0.5))
-            assert whole.keys() == half.keys(), name
-            assert whole != half, name
-    assert any(not f.names for f in FAULTS[rig.plant].values())
+@pytest.mark.parametrize("kind", excitation.SHAPES)
+@pytest.mark.parametrize("pace_s", [0.008, 0.1, 1.5])
+def test_an_excitation_stays_within_reach_and_moves(kind, pace_s):
+    t = np.arange(0, 12, 0.01)
+    signal = excitation.signal(kind, t, pace_s, np.random.default_rng(1))
+    assert signal.shape == t.shape
+    assert np.max(np.abs(signal)) <= 1.0
+    assert np.ptp(signal) > (0.01 if kind == "plateau" else 0.3)
 
 
 def short(case):
