@@ -28,11 +28,11 @@ def diagnosed(campaign):
     """The diagnosis of a robot with `effects` by a nominal model without `out`; each is made once."""
 
     @cache
-    def made(out=(), effects=()):
+    def made(out, effects):
         model = Model(effects={name: values for name, values in SEED.items() if name not in out})
         return diagnose(campaign(effects), model)
 
-    return made
+    return lambda out=(), effects=(): made(out, effects)
 
 
 def _names(diagnosis):

@@ -46,7 +46,8 @@ NONE = NAMED.model_copy(
 
 @pytest.fixture(autouse=True)
 def two_targets(monkeypatch):
-    """Fly to two targets, in this process."""
+    """Fly a few draws to two targets, in this process."""
+    monkeypatch.setattr(fly, "PART", 3)
     monkeypatch.setattr(fly, "TEST_TARGETS", (EASY, NEVER))
     monkeypatch.setattr(fly, "cores", lambda: 1)
 
@@ -63,7 +64,7 @@ def close(out, held_out, declared=True, through=lambda closed: None, reported=No
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
 
 
-# Over 3 s: 72 flights and a retraining, the shortest that gives every figure of the results.
+# Over 3 s: 36 flights and a retraining, the shortest that gives every figure of the results.
 @pytest.mark.parametrize(
     "robot",
     [LATE, pytest.param(with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]), marks=pytest.mark.prove)],
