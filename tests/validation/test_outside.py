@@ -12,8 +12,8 @@ from softarm.simulator.simulator import Simulator
 from tests.drivers.wires_page import table, vectors
 from validation import outside
 from validation.outside import regulator
-from validation.outside.body import STOP_M, Body
-from validation.outside.drive import OFF, RUN, Drive
+from validation.outside.body import Body
+from validation.outside.drive import Drive
 from validation.outside.robot import STEP_S, Robot
 
 FOLDER = Path(outside.__file__).parent
@@ -81,45 +81,6 @@ def telegram(index: int, value: int, size: int) -> bytes:
     data = value.to_bytes(size, "little", signed=value < 0)
     head = bytes((0, 1, 0, 0, 0, 13 + size, 0, 0x2B, 0x0D, 1, 0, 0)) + index.to_bytes(2, "big")
     return head + bytes((0, 0, 0, 0, size)) + data
-
-
-def running(keep: bool = False, latency_s: float = 0.0) -> Robot:
-    """In operation at time 0."""
-    robot = Robot(Body(), Drive(latency_s, keep, friction_n=3.0), bound_m=0.2)
-    ramps = [(index, 600_000, 4) for index in (0x6083, 0x6084, 0x6085)]
-    for index, value, size in (*ramps, (0x6060, 3, 1), (0x6040, 6, 2), (0x6040, 7, 2), (0x6040, 15, 2)):
-        robot.drive.answer(telegram(index, value, size), 0.0)
-    assert robot.drive.state == RUN
-    return robot
-
-
-def drive_for(robot: Robot, seconds: float, master_until_s: float = 1e9) -> None:
-    """Let time pass from 0; the master asks for the statusword until then."""
-    for step in range(round(seconds / STEP_S)):
-        now = step * STEP_S
-        if now < master_until_s:
-            robot.drive.answer(telegram(0x60FF, 50_000, 4), now)
-        robot.step(now)
-
-
-def test_a_set_point_acts_on_the_ramp_after_the_latency() -> None:
-    robot = running(latency_s=0.05)
-    drive_for(robot, 0.05)
-    assert abs(robot.body.cart_m_s) < 0.01
-    robot = running(latency_s=0.05)
-    drive_for(robot, 0.1)
-    assert robot.body.cart_m_s == pytest.approx(0.3, abs=0.05)
-
-
-def test_a_silent_master_stops_the_drive_unless_it_keeps_its_set_point() -> None:
-    braked, kept = running(), running(keep=True)
-    for robot in (braked, kept):
-        drive_for(robot, 1.0, master_until_s=0.2)
-    assert braked.drive.state == OFF
-    assert (braked.crashes, braked.excursions) == (0, 0)
-    assert braked.max_cart_m < 0.2
-    assert (kept.crashes, kept.excursions) == (1, 1)
-    assert STOP_M <= kept.max_cart_m < STOP_M + 0.005
 
 
 @pytest.mark.parametrize(
