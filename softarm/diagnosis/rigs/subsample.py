@@ -24,6 +24,8 @@ from softarm.diagnosis.rigs.views import RigView
 PIECES_MOST = 8
 # Share of the budget that a search uses by plan; searches took 0.7 to 1.3 times their plan.
 PLANNED = 0.75
+# Shortest stretch, in blocks: one of the two windows that a block has at least.
+LEAST_BLOCKS = 0.5
 # Stretches of each kind of excitation that are used at least.
 KIND_LEAST = 2
 
@@ -80,7 +82,7 @@ def pieces(view: RigView, trials: Sequence[Trial], share: float) -> Iterator[tup
     each_s = share * sum(lengths_s) / (KIND_LEAST * len({trial.kind for trial in trials}))
     for trial, length_s in zip(trials, lengths_s, strict=True):
         usual_s = max(view.blocks_each * view.block_s, view.blocks_each / 4 * length_s / PIECES_MOST)
-        yield cut(trial, min(usual_s, max(each_s, view.block_s)))
+        yield cut(trial, min(usual_s, max(each_s, LEAST_BLOCKS * view.block_s)))
 
 
 def cut(trial: Trial, seconds: float) -> tuple[Trial, ...]:
