@@ -20,7 +20,6 @@ from softarm.diagnosis.engine.work import Progress, Work
 
 EFFECTS_MAX = 3  # effects of a forward search
 SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
-RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
 SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
 SHARED_MIN = 0.1  # energy that two effects remove from a stage, at most, if they may replace each other there
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
@@ -138,7 +137,7 @@ class Search:
             residual.gaps.on_rollouts = self._work.count
         pool = self.candidates
         fit = self.pruned(self.full(null_model, pool))
-        for _ in range(RESTARTS):  # an effect at its bound replaced others: repeat without it
+        for _ in range(self.thresholds.search.restarts):  # an effect at its bound replaced others: repeat without it
             bound = [c for c, u in zip(fit.effects, fit.u, strict=True) if c.at_bound(u)]
             if not bound or len(pool) == 1:
                 break

@@ -20,6 +20,7 @@ class SearchBudget:
     lag_share: float = 1.0
     # The loss has many small minima: fit few effects from their own starts as well, and all with wide differences.
     refit: bool = False
+    restarts: int = 3  # repeats of a backward search, each without one more effect that ended at its bound
     # Held-out data of the search: the verdict's own (kinds, else trials), whole trials, or every fifth block.
     folds: Literal["held_out", "trial", "block"] = "held_out"
 

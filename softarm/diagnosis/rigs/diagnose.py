@@ -62,6 +62,8 @@ HALVINGS = 3
 BEGUN, SEARCHED = 0.05, 0.9
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
+# Repeats of a search whose budget binds.
+RESTARTS_BOUND = 1
 _WEAK_HELD_OUT = {
     "kind": "",
     "trial": "held-out data are other trials of the same kind of motion; record several kinds",
@@ -208,7 +210,10 @@ def examine(
     kinds = [t.kind for t in used.trials]
     setup = settled(view, kinds, used.origins)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
-    thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
+    search = replace(thresholds.search, refit=view.restarts_few_effects)
+    if notes:  # each repeat costs as much as the search
+        search = replace(search, restarts=RESTARTS_BOUND)
+    thresholds = replace(thresholds, search=search)
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view))
     finding = _Stage(view, used, found).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))

@@ -106,6 +106,19 @@ def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_t
     assert search.is_gain(search.gain(search.problem.fit([((), ())])[0], left))
 
 
+@pytest.mark.parametrize(("restarts", "fits"), [(1, 2), (3, 3)])
+def test_a_search_begins_again_without_an_effect_at_its_bound(restarts, fits, monkeypatch):
+    """Both effects that express the swing end at their bound; without them nothing does."""
+    setup = Setup([_Waves()], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
+    effects = tuple(candidate(path, -2.0, 0.05, 0.3, 0.05) for path in WAVES[:4])
+    thresholds = replace(RIG, search=replace(RIG.search, restarts=restarts))
+    search = Search(setup.weighed(), setup.plain(), ("stage",), effects, thresholds)
+    pools, full = [], search.full
+    monkeypatch.setattr(search, "full", lambda null, pool: (pools.append(len(pool)), full(null, pool))[1])
+    assert search.backward(search.null_model(), lambda text, share: None).names == ()
+    assert pools == [4, 3, 2][:fits]
+
+
 def test_only_good_candidates_get_a_full_fit(searched, monkeypatch):
     """The number of sets and the rounds of each fit; the level removes nothing of a wrong pace."""
     fits, fit = [], FitProblem.fit
