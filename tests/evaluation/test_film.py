@@ -77,8 +77,13 @@ def test_what_cannot_be_shown_is_refused():
         flown("pid", (-0.4, 0.8), config=longer)
 
 
-def test_a_large_gif_shows_fewer_pictures_in_the_same_time(monkeypatch):
-    made = flown("reach", (-0.3, 0.65))
+@pytest.fixture(scope="module")
+def made():
+    """Return a flight that reaches its target."""
+    return flown("reach", (-0.3, 0.65))
+
+
+def test_a_large_gif_shows_fewer_pictures_in_the_same_time(made, monkeypatch):
     full = film.encode("reach", made, Model(), CONFIG, ".gif")
     monkeypatch.setattr(film, "BYTES_MAX", len(full) - 1)
     less = film.encode("reach", made, Model(), CONFIG, ".gif")
@@ -89,8 +94,8 @@ def test_a_large_gif_shows_fewer_pictures_in_the_same_time(monkeypatch):
         film.encode("reach", made, Model(), CONFIG, ".gif")
 
 
-def test_ffmpeg_receives_every_picture(monkeypatch):
-    made, calls = flown("reach", (-0.3, 0.65)), []
+def test_ffmpeg_receives_every_picture(made, monkeypatch):
+    calls = []
 
     def run(command, **options):
         calls.append((command, len(options["input"])))
