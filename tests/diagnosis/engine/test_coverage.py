@@ -53,7 +53,7 @@ class _Gauge(Gauge):
 @pytest.mark.parametrize("memory_s", [0.0, 0.3], ids=["white", "a third of a second"])
 def test_a_parameters_interval_holds_it_95_times_in_100(memory_s):
     """Beside a nuisance, whether the noise is white or carries on through ten samples."""
-    runs, inside = 150, 0
+    runs, inside = 100, 0
     for seed in range(runs):
         problem = Setup([_Gauge(seed, memory_s)], (ZERO,), ("hum",) * TRIALS).plain()
         low, high = problem.interval(problem.fit([((GAIN,), GAIN.starts)], rounds=2)[0])
@@ -108,7 +108,7 @@ def test_the_interval_of_a_shrink_holds_for_fresh_campaigns(unlike):
 def test_all_looks_together_find_something_in_noise_no_more_often_than_the_level_and_not_much_less(monkeypatch):
     """They share data and are counted as if they did not, which costs no more than two thirds of the level."""
     monkeypatch.setattr(structure, "LEVEL", 0.2)
-    runs = 150
+    runs = 100
     found = [structure.structure(g := _Gauge(seed), g.noise) for seed in range(runs)]
     fewest, most = bounds(runs, 0.2 / 3, 0.2)
     alarms = sum(each.energy > 0 for each in found)
