@@ -8,8 +8,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 from pydantic import TypeAdapter
 
+from softarm.daemon.access import sockets
 from softarm.daemon.api.status import Ages, RecorderInfo, Status
 from softarm.daemon.control.records import EStop, Mode, Observed, Problems
+from softarm.schemas.config import Api
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation
 from tests.cli.invoke import invoke
@@ -132,3 +134,11 @@ def _no_announcements(monkeypatch: pytest.MonkeyPatch) -> None:
     """Suppress announcements of long waits, which depend on the load."""
     monkeypatch.setattr("softarm.cli.shared.console.PATIENCE_S", 600.0)
     monkeypatch.setattr("softarm.common.processes.FIRST_LINE_S", 600.0)
+
+
+@pytest.fixture(autouse=True)
+def _free_default_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the check of the ports accept the default ones, which a daemon of this computer may use."""
+    try_out = sockets.try_out
+    defaults = {Api().port, Api().stops_at}
+    monkeypatch.setattr(sockets, "try_out", lambda host, port, key: port in defaults or try_out(host, port, key))
