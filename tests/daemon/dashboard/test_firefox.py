@@ -8,7 +8,7 @@ from softarm.daemon.runtime.jobs import Done
 from tests.daemon.dashboard import firefox
 from tests.processes import until
 
-pytestmark = pytest.mark.prove  # drawing without a graphics card takes a minute of a core
+pytestmark = pytest.mark.prove  # on a busy machine Firefox draws for minutes without a graphics card
 
 
 class Ready:
