@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.grid import Grid, grid
@@ -95,6 +95,22 @@ def motions(
             break
         rate = finer
     return found
+
+
+def differences(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array]:
+    """Return position, speed and acceleration of another joint at the stamps of a grid, [T] each.
+
+    They are plain differences: smoothing would lose fast motion, and noise of an acceleration vanishes in the motion
+    that it causes, since its double integral is the noise of the position.
+    """
+    own = grid(series, 1 / g.step_s, (name,))
+    known = np.isfinite(own.columns[name])
+    x = np.interp(own.t_s, own.t_s[known], own.columns[name][known])
+    speed = np.gradient(x, own.step_s)
+    acceleration = np.zeros_like(x)
+    acceleration[1:-1] = np.diff(x, 2) / own.step_s**2
+    position, speed, acceleration = (np.interp(g.t_s, own.t_s, each) for each in (x, speed, acceleration))
+    return position, speed, acceleration
 
 
 def period(found: Sequence[Motion], limit: float | None = None, *, speed_alone: bool = False) -> float:

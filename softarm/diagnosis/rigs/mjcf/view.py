@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.data.trials import Series, Trial, TrialError, stage_of
+from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, held_means, resolution, time_since_change, usual_step
+from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
@@ -19,7 +19,9 @@ from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, slopes
 from softarm.diagnosis.rigs.motion import (
     SLOW,
     STILL,
+    WINDOW_PERIODS,
     Motion,
+    differences,
     directions,
     motion,
     motions,
@@ -34,6 +36,8 @@ from softarm.diagnosis.rigs.motion import (
 from softarm.diagnosis.rigs.scales import white_noise
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values
 
+# Growth of an error within a window of a joint that falls, such as an upright arm under torque commands.
+GROWN = 10.0
 # Samples are averaged down to this rate: accelerations of coupled joints change within 5 ms.
 RATE_HZ = 500.0
 # Share of a load below which a mass has no effect.
@@ -83,7 +87,8 @@ class JointView(RigView):
         self._known = neutral_values(own) | self._nominal() | given
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
         self.curved = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
-        window_s, self.block_s = window_lengths(scales.period_s, scales.step_s, self._motions)
+        longest_s = min(scales.period_s, self._unstable_s() / WINDOW_PERIODS)
+        window_s, self.block_s = window_lengths(longest_s, scales.step_s, self._motions)
         self._each = self._substeps()
         self._drives = lru_cache(64)(self._driven)
         self._edges = [window_edges(m.grid, window_s) for m in self._motions]
@@ -97,6 +102,13 @@ class JointView(RigView):
         self._free = [self._freed(k) for k in range(len(trials))]
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
+
+    def _unstable_s(self) -> float:
+        """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
+        held = self._joint.spring + (self._actuator.kp if self._actuator is not None else 0.0)
+        falls = [-(terms.base[laws.BY_POSITION] + held) / terms.base[laws.INERTIA] for terms in self._terms]
+        fastest = float(np.quantile(np.concatenate(falls), 0.9))
+        return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
     def _without_unsure(self) -> float:
         """Take out samples that depend on motion of the other joints between samples, and return their share.
@@ -180,7 +192,7 @@ class JointView(RigView):
                 if name == self._joint.name:
                     found[name] = own.position, own.speed, own.acceleration
                 else:
-                    found[name] = _differences(series, name, own.grid)
+                    found[name] = differences(series, name, own.grid)
         return found
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
@@ -447,22 +459,6 @@ class JointView(RigView):
         for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
             signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s)
         return signals
-
-
-def _differences(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array]:
-    """Return position, speed and acceleration of another joint at the stamps of a grid, [T] each.
-
-    They are plain differences: smoothing would lose fast motion, and noise of an acceleration vanishes in the motion
-    that it causes, since its double integral is the noise of the position.
-    """
-    own = grid(series, 1 / g.step_s, (name,))
-    known = np.isfinite(own.columns[name])
-    x = np.interp(own.t_s, own.t_s[known], own.columns[name][known])
-    speed = np.gradient(x, own.step_s)
-    acceleration = np.zeros_like(x)
-    acceleration[1:-1] = np.diff(x, 2) / own.step_s**2
-    position, speed, acceleration = (np.interp(g.t_s, own.t_s, each) for each in (x, speed, acceleration))
-    return position, speed, acceleration
 
 
 def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -72,6 +73,35 @@ def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smalles
     settled(view, KINDS, range(len(KINDS)))
     assert view.nominal("coulomb_friction.give") == pytest.approx(1e-3, abs=0.6 * usual)
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 0.6 * left
+
+
+UPRIGHT = """<mujoco><option timestep="0.002"/><worldbody><body>
+  <joint name="lean" axis="0 1 0" damping="0.3" armature="0.02"/>
+  <inertial pos="0 0 0.3" mass="1.5" diaginertia="0.02 0.02 0.001"/>
+</body></worldbody><actuator><motor name="drive" joint="lean"/></actuator></mujoco>"""
+
+
+def test_an_upright_link_under_torque_commands_has_windows_in_which_errors_stay_small(tmp_path):
+    """It falls with a rate of 5 /s. A controller outside holds it, of which the recording has the torques alone."""
+    (tmp_path / "robot.xml").write_text(UPRIGHT)
+    model = mujoco.MjModel.from_xml_string(UPRIGHT)
+    model.opt.timestep = 5e-4
+    data, rows = mujoco.MjData(model), ["t,drive,lean"]
+    for k in range(40_000):
+        if k % 10 == 0:
+            wanted = 0.6 * np.sin(0.9 * data.time)
+            data.ctrl[0] = 40.0 * (wanted - data.qpos[0]) - 4.0 * data.qvel[0]
+            rows.append(f"{data.time:.6g},{data.ctrl[0]:.6g},{np.round(data.qpos[0] / 1e-4) * 1e-4:.6g}")
+        mujoco.mj_step(model, data)
+    (tmp_path / "sines.csv").write_text("\n".join(rows))
+    (tmp_path / "stage.yaml").write_text(
+        "kind: mujoco\nchannels:\n"
+        "  measured: {time: {source: t, unit: s}, columns: {lean: {source: lean, unit: rad}}}\n"
+        '  command: {time: {source: t, unit: s}, columns: {drive: {source: drive, unit: "N m"}}}\n'
+        "model: {mjcf: robot.xml}\ntrials: [{files: sines.csv}]\n"
+    )
+    view, _ = view_of(tables.read(tmp_path / "stage.yaml"))
+    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 2e-3
 
 
 def finding(stage, driven_by, *, kind="none", noise=False, confidence=None):
