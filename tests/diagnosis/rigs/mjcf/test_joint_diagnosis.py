@@ -82,7 +82,7 @@ UPRIGHT = """<mujoco><option timestep="0.002"/><worldbody><body>
 
 
 def test_an_upright_link_under_torque_commands_has_windows_in_which_errors_stay_small(tmp_path):
-    """It falls with a rate of 5 /s. A controller outside holds it, of which the recording has the torques alone."""
+    """A link falls with a rate of 5 /s, held by a controller outside; the recording has the torques alone."""
     (tmp_path / "robot.xml").write_text(UPRIGHT)
     model = mujoco.MjModel.from_xml_string(UPRIGHT)
     model.opt.timestep = 5e-4
