@@ -87,7 +87,7 @@ def test_noise_and_dropped_frames_have_the_strength_of_the_effect(device):
     assert np.mean((first == second)[:, TIP_Y]) == pytest.approx(share, abs=0.05)
 
 
-def test_each_episode_draws_the_sensors_anew():
+def test_each_episode_draws_the_sensors_effects():
     ranges = {"mocap.offset.y": (0.05, 0.1)}
     environment = _made(NOISELESS, ROBOTS, 0, randomisation=Randomisation(ranges, each_episode=True))
     offsets = []
