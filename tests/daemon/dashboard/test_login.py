@@ -71,6 +71,7 @@ def test_a_wrong_token_is_refused_with_the_daemons_reason(opened):
 def test_a_space_in_the_token_field_does_not_stop(robot, opened):
     robot.arm()
     page = opened(look=False, apart=True)
+    page.locator("#login").wait_for()
     page.locator("#token").press_sequentially("a b")
     assert page.locator("#token").input_value() == "a b"
     assert robot.status["mode"] == "armed"
