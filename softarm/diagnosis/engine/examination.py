@@ -205,7 +205,10 @@ class Examination:
         return decision
 
     def named(self, decision: Decision) -> Fit:
-        """Return the fit of the named effects alone: the model of figures, calibration and patch."""
+        """Return the fit of the named effects alone: the model of figures, calibration and patch.
+
+        If one of them then has the model's own value, all keep the sizes that they have beside the dropped effects.
+        """
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
         kept = [i for i, name in enumerate(chosen.names) if name in names]
         if not kept:
@@ -213,7 +216,8 @@ class Examination:
         if len(kept) == len(chosen.effects):
             return chosen
         named = tuple(chosen.effects[i] for i in kept), tuple(chosen.u[i] for i in kept)
-        return self.verdict_problem.fit([named], self.thresholds.search.rounds)[0]
+        alone = self.verdict_problem.fit([named], self.thresholds.search.rounds)[0]
+        return self.verdict_problem.part(chosen, kept) if self._open(alone) else alone
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:
         """Return a fit without each of its effects, by the name of the missing one."""

@@ -104,6 +104,17 @@ def test_the_named_effect_takes_over_from_a_similar_one_that_is_not_named(found)
     assert named.held_out.sum() < 1.2 * chosen.held_out.sum()
 
 
+def test_a_named_effect_keeps_its_size_if_it_has_none_without_the_dropped_ones(found):
+    """A stop that no sample reaches has no size of its own."""
+    decision = _without_level(found)
+    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(STOP, 0.3))
+    (chosen,) = found.verdict_problem.fit([(effects, ((0.8,), (0.2,), (0.4,)))], rounds=1)
+    found.choice = replace(found.choice, chosen=chosen)
+    stop = replace(decision.selected[0], candidate=effects[2])
+    named = found.named(replace(decision, selected=(*decision.selected, stop)))
+    assert named.point == {path: chosen.point[path] for path in (SWING, STOP)}
+
+
 def test_if_all_or_none_are_named_nothing_is_fitted_again(found):
     decision = found.decide()
     assert found.named(decision) is found.choice.chosen
