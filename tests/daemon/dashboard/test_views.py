@@ -178,6 +178,7 @@ def test_one_cursor_is_shown_in_all_charts(page, robot):
 def test_the_charts_mark_where_goals_began_and_ended(page, robot):
     robot.arm()
     page.get_by_role("button", name="10 s", exact=True).click()
+    page.wait_for_timeout(10_000)  # marks of earlier tests leave the window
     before = page.evaluate(INK, "stop-text")
     number = robot.status["goal"]["number"]
     robot.ask("/api/goal", {"kind": "reach", "y_m": 0.25, "z_m": 0.75})

@@ -25,6 +25,7 @@ def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
 async def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(opened: Any, kind: str) -> None:
     async with opened(timeout_s=0.02) as bench:

@@ -67,6 +67,7 @@ class Hands:
         await self.write_until(armed, True)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("make", [pytest.param(SimulatedBody, marks=pytest.mark.slow), IndependentBody])
 async def test_the_drivers_move_the_twin_and_their_silence_stops_it(
     config: Config, until: Any, running: Any, make: Any
