@@ -215,8 +215,7 @@ class Examination:
             return self.choice.null_model
         if len(kept) == len(chosen.effects):
             return chosen
-        named = tuple(chosen.effects[i] for i in kept), tuple(chosen.u[i] for i in kept)
-        alone = self.verdict_problem.fit([named], self.thresholds.search.rounds)[0]
+        alone = self.verdict_problem.fit([chosen.only(kept)], self.thresholds.search.rounds)[0]
         return self.verdict_problem.part(chosen, kept) if self._open(alone) else alone
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:

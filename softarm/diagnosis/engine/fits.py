@@ -70,6 +70,10 @@ class Fit:
         """Return the parameters of each fit that left out one fold."""
         return [point_of(self.effects, split(self.effects, x)) for x in self.folds]
 
+    def only(self, kept: Sequence[int]) -> tuple[EffectSet, Coordinates]:
+        """Return some of the effects, by index, with their coordinates, as the start of another fit."""
+        return tuple(self.effects[i] for i in kept), tuple(self.u[i] for i in kept)
+
     def scatter(self, i: int) -> float:
         """Return the jackknife error of an effect's strength across folds, relative to its change.
 
@@ -287,7 +291,7 @@ class FitProblem:
 
     def part(self, fit: Fit, kept: Sequence[int]) -> Fit:
         """Return a fit with some of its effects, which keep their values; the nuisances are fitted again."""
-        effects, u = tuple(fit.effects[i] for i in kept), tuple(fit.u[i] for i in kept)
+        effects, u = fit.only(kept)
         owner = np.repeat(np.arange(len(fit.effects)), [len(each.parameters) for each in fit.effects])
         mine = np.isin(owner, kept)
         limits = self.nuisance_box(effects)

@@ -284,7 +284,8 @@ class Search:
         """Fit a set without each of its effects."""
         memory = (fit.names, fit.u)
         if memory not in self._reduced:
-            sets = [_without(fit, i) for i in range(len(fit.effects))]
+            every = range(len(fit.effects))
+            sets = [fit.only([k for k in every if k != i]) for i in every]
             few = 1 < len(sets) <= REFIT_MAX + 1
             if self.thresholds.approximate and few:  # the other of two similar effects must grow to replace it
                 prediction = Prediction(self.problem, fit)
@@ -336,10 +337,8 @@ class Search:
         """
         count = len(rests) // 2
         while count > 1:
-            names = set[str]().union(*(set(fit.names) - set(less.names) for less in rests[:count]))
-            kept = [i for i, name in enumerate(fit.names) if name not in names]
-            start = tuple(fit.effects[i] for i in kept), tuple(fit.u[i] for i in kept)
-            (less,) = self.problem.fit([start], self.thresholds.search.rounds)
+            kept = [i for i, name in enumerate(fit.names) if all(name in less.names for less in rests[:count])]
+            (less,) = self.problem.fit([fit.only(kept)], self.thresholds.search.rounds)
             if self._is_weak(less, self.gain(less, fit)):
                 return less
             count //= 2
@@ -432,10 +431,6 @@ def tempered(fit: Fit) -> Array:
 
 def _is_within(fit: Fit) -> bool:
     return not fit.effects[-1].exceeds_tolerance(fit.u[-1])
-
-
-def _without(fit: Fit, i: int) -> tuple[EffectSet, Coordinates]:
-    return fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]
 
 
 def _best_of_each(fits: Sequence[Fit], key: Callable[[Fit], Hashable]) -> list[Fit]:
