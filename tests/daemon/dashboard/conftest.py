@@ -198,9 +198,17 @@ def page(robot, watched):
 
 
 @pytest.fixture
-def press():
-    """Return press(page, y_m, z_m, tap=False), which clicks or taps that point in the drawing."""
-    return _press
+def press(robot):
+    """Return press(page, y_m, z_m, tap=False), which clicks or taps that point in the drawing.
+
+    It waits until the page shows the robot's mode, since a change of it may move the drawing.
+    """
+
+    def after_the_mode(page, y_m: float, z_m: float, tap: bool = False) -> None:
+        page.locator(f"#mode[data-mode={robot.status['mode']}]").wait_for()
+        _press(page, y_m, z_m, tap)
+
+    return after_the_mode
 
 
 def _press(page, y_m: float, z_m: float, tap: bool = False) -> None:

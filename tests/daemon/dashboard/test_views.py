@@ -102,7 +102,7 @@ def test_two_numbers_send_a_target(page, robot):
     page.locator("#target-y").fill("-0.31")
     page.locator("#target-z").fill("0.6")
     assert page.locator("#drawing .preview text").text_content() == "y −0.310  z 0.600 m"
-    page.locator("#do-reach").click()
+    page.locator("#do-reach[aria-disabled=false]").click()
     page.locator("#said .notice.done").wait_for()
     assert robot.status["goal"]["goal"] == {"kind": "reach", "y_m": -0.31, "z_m": 0.6}
     page.locator("#target-y").fill("")
