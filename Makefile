@@ -50,15 +50,15 @@ types:
 imports:
 	$(BIN)/lint-imports
 
-# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once. Four
-# processes, since a third of the time is spent waiting for daemons and browsers.
+# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once. Three
+# processes: tests wait for daemons and browsers, and with four those miss frames.
 unit:
-	$(BIN)/pytest -n 4 --dist loadscope --no-loadscope-reorder -m 'not realtime and not prove' $(COVER)
+	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not prove' $(COVER)
 	$(BIN)/pytest -m 'realtime and not prove' $$(grep -rl --include='test_*.py' 'mark.realtime' tests) \
 	    $(if $(COVER),$(COVER) --cov-append)
 
 unit-quick:
-	$(BIN)/pytest -n 4 --dist loadscope --no-loadscope-reorder -m 'not realtime and not slow and not prove'
+	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not slow and not prove'
 
 # Share of the lines that the tests run, package by package.
 coverage: .venv/.compiled

@@ -128,6 +128,8 @@ def test_a_client_that_does_not_read_delays_no_other(running):
         stuck.subscribe(*stuck.channels)
         viewer.subscribe("/state")
         viewer.until("/state")
+        while not seen:
+            time.sleep(0.001)
         for _ in range(500):  # some 5 MB
             publisher.take(seen[-1], [])
             time.sleep(0.0005)
