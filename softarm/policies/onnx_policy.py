@@ -3,10 +3,10 @@
 import copy
 import hashlib
 import json
-import time
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,9 +94,9 @@ class OnnxPolicy:
 
     def _timed_step(self) -> float:
         """Run one step on zeros and return its time, s."""
-        start_s = time.monotonic()
+        start_s = monotonic()
         self.step(np.zeros(len(OBSERVATION), np.float32), np.zeros(len(REACH_GOAL), np.float32))
-        return time.monotonic() - start_s
+        return monotonic() - start_s
 
     def _advance(self) -> Array:
         """Run the network on `_input`, carry its state, return its action [2] in -1..1."""

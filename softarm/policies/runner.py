@@ -2,7 +2,7 @@
 
 import math
 import threading
-import time
+from time import monotonic_ns
 from typing import NamedTuple
 
 import numpy as np
@@ -92,9 +92,9 @@ class InlineRunner(PolicyRunner):
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step, which takes as long as the policy needs."""
-        start_ns = time.monotonic_ns()
+        start_ns = monotonic_ns()
         action, fault = self._call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
-        duration_ns = time.monotonic_ns() - start_ns
+        duration_ns = monotonic_ns() - start_ns
         if fault is None and duration_ns > self._budget_s * 1e9:
             took = f"answered after {duration_ns / 1e6:.0f} ms"
             return PolicyOutcome(None, late(self._name, took, self._budget_s), duration_ns)
@@ -125,7 +125,7 @@ class ThreadRunner(PolicyRunner):
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         """Run one step and return within `budget_s` plus the scheduler's delay."""
-        start_ns = time.monotonic_ns()
+        start_ns = monotonic_ns()
         if self._closed:
             return PolicyOutcome(None, f"policy '{self._name}': its runner is closed", 0)
         if self._late_since_ns is not None:
@@ -138,7 +138,7 @@ class ThreadRunner(PolicyRunner):
             self._late_since_ns = start_ns
             return self._late(start_ns, start_ns)
         action, fault = self._result
-        return PolicyOutcome(action, fault, time.monotonic_ns() - start_ns)
+        return PolicyOutcome(action, fault, monotonic_ns() - start_ns)
 
     def close(self) -> None:
         """End the thread; a thread that hangs in its policy ends with the process."""
@@ -149,7 +149,7 @@ class ThreadRunner(PolicyRunner):
             self._thread.join(timeout=self._budget_s)
 
     def _late(self, since_ns: int, start_ns: int) -> PolicyOutcome:
-        now_ns = time.monotonic_ns()
+        now_ns = monotonic_ns()
         did = f"has not answered for {(now_ns - since_ns) / 1e6:.0f} ms"
         return PolicyOutcome(None, late(self._name, did, self._budget_s), now_ns - start_ns)
 

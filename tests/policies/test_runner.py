@@ -254,7 +254,7 @@ def test_all_steps_run_on_one_separate_thread():
 
 def test_an_inline_step_beyond_its_budget_is_late_afterwards(monkeypatch):
     now_ns = iter((0, 20_000_000, 0, 20_000_001))
-    monkeypatch.setattr(time, "monotonic_ns", lambda: next(now_ns))
+    monkeypatch.setattr("softarm.policies.runner.monotonic_ns", lambda: next(now_ns))
     runner = InlineRunner(Scripted(), budget_s=0.02)
     assert runner.step(OBSERVATION, GOAL).fault is None
     fault = "late: policy 'scripted' answered after 20 ms; its budget is 20 ms"
@@ -263,13 +263,13 @@ def test_an_inline_step_beyond_its_budget_is_late_afterwards(monkeypatch):
 
 def test_the_duration_of_a_step_is_measured(run, monkeypatch):
     now_ns = iter(range(100, 1000, 7))
-    monkeypatch.setattr(time, "monotonic_ns", lambda: next(now_ns))
+    monkeypatch.setattr("softarm.policies.runner.monotonic_ns", lambda: next(now_ns))
     assert run().step(OBSERVATION, GOAL).duration_ns == 7
 
 
 def test_the_fault_of_a_late_step_states_its_duration(monkeypatch):
     policy, now_ns = Slow(), [5_000_000_000]
-    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns[0])
+    monkeypatch.setattr("softarm.policies.runner.monotonic_ns", lambda: now_ns[0])
     runner = ThreadRunner(policy, budget_s=0.02)
 
     def late_at(ns):

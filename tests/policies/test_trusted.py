@@ -40,7 +40,7 @@ def test_a_slow_network_and_any_plug_in_have_a_thread(network):
 
 def test_the_time_of_a_step_is_measured_at_loading(monkeypatch):
     now_s = iter((0.0, 5.0, 10.0, 12.0, 20.0, 23.0))
-    monkeypatch.setattr("softarm.policies.onnx_policy.time.monotonic", lambda: next(now_s))
+    monkeypatch.setattr("softarm.policies.onnx_policy.monotonic", lambda: next(now_s))
     assert OnnxPolicy("reach").step_s == 2.0
 
 
