@@ -27,6 +27,21 @@ def not_named(choice: Choice, decision: Decision) -> Iterator[str]:
             yield f"{effect.candidate.name} is not named: it shrinks the gap, but leaves too much or is not steady"
 
 
+def not_rated(decision: Decision) -> Iterator[str]:
+    """Yield a warning for each named effect without a confidence that its size or a rival's bound explains."""
+    for effect in decision.selected:
+        if effect.bounded:
+            yield (
+                f"{effect.candidate.name} is not rated: {', '.join(effect.bounded)} explains as much at the end of its "
+                "range, and that bound may be the only reason against it"
+            )
+        elif effect.tolerated:
+            yield (
+                f"{effect.candidate.name} is not rated: its size is within the tolerance of a healthy system, and "
+                "blind tests had too few such answers"
+            )
+
+
 def by_gain(search: Search, choice: Choice, decision: Decision) -> tuple[Rival, ...]:
     """Return the named effects and the best other candidates, with gains relative to the named effects' losses."""
     selected = decision.selected

@@ -19,10 +19,11 @@ System = Literal["robot", "rig"]
 def confidence(system: System, effect: SelectedEffect) -> float | None:
     """Return the confidence of a named effect.
 
-    It is None for too few cases, for an effect that another set of effects replaces, and for one whose rival fits as
-    well at the end of its range: the bound may be the only reason against the rival.
+    It is None for too few cases, for an effect that another set of effects replaces, for one within the tolerance of
+    a healthy system, and for one whose rival fits as well at the end of its range: the bound may be the only reason
+    against the rival.
     """
-    if effect.bounded or effect.exchangeable:
+    if not _is_rated(effect):
         return None
     return frequency(_table()[system], "set" if effect.equivalents else "alone", margin(effect))
 
@@ -35,7 +36,11 @@ def margin(effect: SelectedEffect) -> float:
 
 def margins(selected: Iterable[SelectedEffect]) -> dict[str, float]:
     """Return the margins, by name, of the effects that may have a confidence."""
-    return {effect.candidate.name: margin(effect) for effect in selected if not (effect.bounded or effect.exchangeable)}
+    return {effect.candidate.name: margin(effect) for effect in selected if _is_rated(effect)}
+
+
+def _is_rated(effect: SelectedEffect) -> bool:
+    return not (effect.bounded or effect.exchangeable or effect.tolerated)
 
 
 def frequency(curves: dict[str, Any], answer: Literal["alone", "set"], margin: float) -> float | None:

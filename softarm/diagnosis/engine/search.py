@@ -49,6 +49,7 @@ class SelectedEffect:
     equivalents: tuple[str, ...]  # effects that the data cannot separate from it
     bounded: tuple[str, ...] = ()  # rivals that would be equivalents, but are at the end of their range
     exchangeable: bool = False  # whether a set without it, as large as the chosen one, explains as much
+    tolerated: bool = False  # whether its size is within the tolerance of a healthy system
 
     @property
     def strongest(self) -> str:
@@ -373,7 +374,7 @@ class Search:
     def selected(self, chosen: Fit, null_model: Fit, equals: Sequence[Fit]) -> tuple[SelectedEffect, ...]:
         """Return each effect's gain next to the others, and its rivals; equals: sets that explain as much."""
         found = []
-        for effect, less in zip(chosen.effects, self.without_each(chosen, null_model), strict=True):
+        for effect, u, less in zip(chosen.effects, chosen.u, self.without_each(chosen, null_model), strict=True):
             gain = self.gain(less, chosen)
             rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (effect.name,))]
             rivals.sort(key=lambda each: (each[1].value, each[0].names))
@@ -381,7 +382,8 @@ class Search:
             same = tuple(f.effects[-1].name for f in alike if not f.at_bound)
             bounded = tuple(f.effects[-1].name for f in alike if f.at_bound)
             doubtful = any(effect.name not in fit.names for fit in equals)
-            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded, doubtful))
+            small = not effect.exceeds_tolerance(u)
+            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded, doubtful, small))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def is_equivalent(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:

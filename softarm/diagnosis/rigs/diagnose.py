@@ -361,12 +361,7 @@ class _Stage:
         if self.decision.selected and _WEAK_HELD_OUT[how]:
             found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
         found += rivals.not_named(self.choice, self.decision)
-        for effect in self.decision.selected:
-            if effect.bounded:
-                found.append(
-                    f"{effect.candidate.name} is not rated: {', '.join(effect.bounded)} explains as much at the end "
-                    "of its range, and that bound may be the only reason against it"
-                )
+        found += rivals.not_rated(self.decision)
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
         if self.decision.noise:

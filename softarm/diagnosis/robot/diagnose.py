@@ -263,7 +263,7 @@ def _warnings(comparison: Comparison, choice: Choice, decision: Decision) -> lis
             "fewer than three kinds of excitation: wrong effects may fit as well; record more (softarm excite)"
         )
     found += [f"{stage}: {where}; no known effect explains it" for stage, where in decision.structure.items()]
-    found += rivals.not_named(choice, decision)
+    found += [*rivals.not_named(choice, decision), *rivals.not_rated(decision)]
     for fit, gain in choice.alone[:3]:
         if fit.at_bound and gain.value > AT_BOUND_MIN:
             found.append(f"{fit.names[0]} is not named: it explains part of the gap only at the end of its range")

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from softarm.diagnosis.answer.rivals import not_rated
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
-from softarm.diagnosis.engine.confidence import confidence, frequency
+from softarm.diagnosis.engine.confidence import confidence, frequency, margins
 from softarm.diagnosis.engine.decision import Evidence, decide, stage_of, stage_shares
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.search import Choice, Gain, SelectedEffect
@@ -218,6 +219,19 @@ def test_an_answer_with_a_rival_at_a_bound_has_no_confidence():
     assert confidence("robot", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
     assert 0.5 < confidence("rig", alone) < 1
     assert confidence("rig", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
+
+
+@pytest.mark.parametrize("system", ["robot", "rig"])
+def test_an_effect_within_the_tolerance_of_a_healthy_system_has_no_confidence(system):
+    # An unlisted creep of the arm was named as a rail lag of 1.4 ms, an eighth of its tolerance, with 93 %.
+    small = dataclasses.replace(_named_effect("rail.lag", rail=9.0), tolerated=True)
+    assert confidence(system, small) is None
+    assert margins([small]) == {}
+    decision = _decide(_choice({"rail": 10.0}, {"rail": 1.0}, small), {})
+    assert list(not_rated(decision)) == [
+        "rail.lag is not rated: its size is within the tolerance of a healthy system, and blind tests had too few such "
+        "answers"
+    ]
 
 
 def test_a_name_next_to_a_large_rest_is_incomplete():
