@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -64,6 +64,8 @@ BEGUN, SEARCHED = 0.05, 0.9
 TRIALS_LEAST = 4
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
+# Effects of a whole mechanism, which each joint shows on its own.
+_COMMON = {"tilt": "a base that is not level", "payload": "a load at the end"}
 _WEAK_HELD_OUT = {
     "kind": "",
     "trial": "held-out data are other trials of the same kind of motion; record several kinds",
@@ -146,6 +148,7 @@ def diagnose_table(
     stages = [found[name].rated(found) for name in names]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
+    warnings += common_causes(stages)
     answers = [stage.answer for stage in stages]
     return replace(
         assemble(_verdict(stages, answers, warnings), answers, trials, started),
@@ -157,6 +160,15 @@ def diagnose_table(
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
     )
+
+
+def common_causes(stages: Sequence[Finding]) -> Iterator[str]:
+    """Yield a warning for each effect of the whole mechanism that may explain the gaps of several stages."""
+    names = {name for s in stages for effect in s.named for name in (effect.name, *effect.equivalents)}
+    for law, words in _COMMON.items():
+        shown = [s.answer.stage for s in stages if f"{s.answer.stage}.{law}" in names]
+        if len(shown) > 1:
+            yield f"{', '.join(shown)}: {words} may be the one cause of these gaps; check it first"
 
 
 def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings: Sequence[str]) -> Verdict:

@@ -96,6 +96,7 @@ class Truth:
 
     laws: Mapping[str, JointLaw]
     masses: Mapping[str, float] = field(default_factory=dict)  # body -> factor
+    tilt_rad: tuple[float, float] = (0.0, 0.0)  # of the base, about the model's x axis, then about its y axis
 
 
 def write(columns: Mapping[str, Array], path: Path) -> None:
@@ -143,6 +144,14 @@ def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Ar
     return np.asarray(half * rise * waves / np.abs(waves).max())
 
 
+def _tilted(gravity: Array, tilt_rad: tuple[float, float]) -> Array:
+    """Return gravity in the frame of a tilted base, m/s^2, [3]."""
+    (sx, sy), (cx, cy) = np.sin(tilt_rad), np.cos(tilt_rad)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    return np.asarray((about_x @ about_y).T @ gravity)
+
+
 class _Plant:
     """Mechanism in MuJoCo, with joint torques from outside."""
 
@@ -167,6 +176,7 @@ class _Plant:
             number = model.body(body).id
             model.body_mass[number] *= factor
             model.body_inertia[number] *= factor
+        model.opt.gravity[:] = _tilted(model.opt.gravity, truth.tilt_rad)
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def run(

@@ -40,6 +40,11 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("spring", "mass", "hold still at several angles: a spring's torque is linear in the angle"),
     ("command_bias", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
     ("torque_offset", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
+    ("tilt", "sensor_bias", "put a spirit level on the base"),
+    ("tilt", "command_bias", "put a spirit level on the base"),
+    ("tilt", "torque_offset", "put a spirit level on the base"),
+    ("tilt", "spring", "put a spirit level on the base"),
+    ("tilt", "payload", "put a spirit level on the base"),
 )
 
 
@@ -57,6 +62,7 @@ class JointScales:
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
     carries: bool  # another joint follows, so that the length of the link matters
+    tilts: tuple[str, ...]  # horizontal axes about which a tilt of the base loads the joint
     inertia: float  # of the joint
     speed: float
     travel: float  # peak to peak
@@ -243,6 +249,14 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             "the link has another length, with its mass as it is",
             "geometry of the rigid body: a tape measure",
             plain="the link of {stage} is {scale} longer",
+        )
+    if s.tilts:
+        yield Effect(
+            "tilt",
+            tuple(strength(axis, "rad", 0.0, -0.3, 0.3, 0.05, f"about the model's {axis} axis") for axis in s.tilts),
+            "the base is not level: gravity has another direction in the model's frame",
+            "geometry of the rigid body: a spirit level",
+            plain="the base of {stage} is not level",
         )
     own = s.joint.spring
     top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -68,13 +68,14 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Change of the rigid bodies behind a joint."""
+    """Change of the rigid bodies behind a joint, or of the whole mechanism's base."""
 
     mass_share: float = 0.0  # of all masses and inertias behind the joint
     payload_kg: float = 0.0  # point mass on the line of the joint's last link
     payload_m: float = 0.0  # its distance from the start of that link
     length_share: float = 0.0  # of the link between the joint and the next one, with its mass as it is
     body: str = ""  # mass_share is that of this body alone
+    tilts_rad: Mapping[str, float] = field(default_factory=dict)  # small rotations of the base about `level_axes`
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +164,14 @@ class Mechanism:
             found[:, k] = inertia, zero, by_position, by_speed
         return found
 
+    @property
+    def level_axes(self) -> Mapping[str, Array]:
+        """Horizontal axes of the model, x, y or z, with the change of gravity per rad of the base's rotation, [3]."""
+        gravity = np.array(self.model.opt.gravity)
+        upright = int(np.argmax(np.abs(gravity)))
+        axes = {name: np.cross(gravity, np.eye(3)[i]) for i, name in enumerate("xyz") if i != upright}
+        return axes if gravity.any() else {}
+
     def coupled(self, joint: Joint, names: Iterable[str]) -> frozenset[str]:
         """Return which of some other joints carry a joint or are carried by it."""
         return frozenset(n for n in names if n != joint.name and {*joint.bodies} & {*self.joint(n).bodies})
@@ -214,6 +223,8 @@ class Mechanism:
         if change.payload_kg:
             link = self.last_link(joint)
             self._load(model, self._body(link.body), change.payload_kg, link.place(change.payload_m))
+        for axis, angle in change.tilts_rad.items():
+            model.opt.gravity[:] += angle * self.level_axes[axis]
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         return model
 

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
@@ -10,7 +10,8 @@ from xml.parsers import expat
 import numpy as np
 
 from softarm.common.quantity import factor
-from softarm.diagnosis.rigs.mjcf.mechanism import Joint, mechanism
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism, mechanism
 from softarm.schemas.verdict import Verdict
 
 # Parameter of a joint's effect -> attribute of its `joint` element.
@@ -51,6 +52,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
     model, edits, left_out = mechanism(path), _Edits(before), []
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
+    tilts: dict[str, list[float]] = {}  # axis -> the base's tilt about it by each joint that it loads, rad
     for place, value in sorted(found.items()):
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
@@ -62,6 +64,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
             payloads.setdefault(link.body, []).append((value, *at))
         elif parameter == "payload.distance":
             continue
+        elif parameter.startswith("tilt."):
+            tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
     for body, values in shares.items():  # several joints weigh the same body
@@ -70,6 +74,9 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
         mass, *at = np.mean(loads, axis=0)
         if not edits.add_point_mass(body, float(mass), at):
             left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
+    gravity = " ".join(map(_short, _tilted(model, tilts)))
+    if tilts and not edits.set_option("gravity", gravity):
+        left_out.append(f"gravity of {gravity} m/s^2")
     after = edits.text
     lines = difflib.unified_diff(
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
@@ -101,6 +108,15 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     return False
 
 
+def _tilted(model: Mechanism, tilts: Mapping[str, Sequence[float]]) -> Array:
+    """Return gravity in the frame of a tilted base, m/s^2, [3]; tilts: the angles about each axis, rad."""
+    gravity: Array = np.array(model.model.opt.gravity)
+    if not tilts:
+        return gravity
+    tilted = gravity + sum(float(np.mean(angles)) * model.level_axes[axis] for axis, angles in tilts.items())
+    return np.asarray(tilted * np.linalg.norm(gravity) / np.linalg.norm(tilted))
+
+
 class _Edits:
     """Text of an XML file whose attributes are changed in place."""
 
@@ -121,6 +137,16 @@ class _Edits:
             assert close is not None
             tag = f'{tag[: close.start()]} {attribute}="{value}"{tag[close.start() :]}'
         self.text = self.text[:start] + tag + self.text[end:]
+        return True
+
+    def set_option(self, attribute: str, value: str) -> bool:
+        """Set an attribute of the model's `option`, in a new element if there is none; return False for a URDF."""
+        if self.set(("option",), "", attribute, value):
+            return True
+        place = self._place(("mujoco",), "", inside=True)
+        if place is None:
+            return False
+        self.text = f'{self.text[: place[1]]}\n  <option {attribute}="{value}"/>{self.text[place[1] :]}'
         return True
 
     def change_mass(self, body: str, factor: float) -> None:
@@ -164,7 +190,7 @@ class _Edits:
             if tag == "body":
                 bodies.append(attributes.get("name", ""))
             owner = bodies[-1] if bodies else ""
-            if tag in tags and (owner if inside else attributes.get("name")) == name and not found:
+            if tag in tags and (owner if inside else attributes.get("name", "")) == name and not found:
                 found.append((parser.CurrentByteIndex, tag))
 
         def end(tag: str) -> None:

@@ -1,4 +1,4 @@
-"""Changes of a joint's rigid-body terms with its bodies: masses, a payload, and the length of the joint's link."""
+"""Changes of a joint's rigid-body terms with its bodies and the base: masses, payload, length of the link, tilt."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,27 +10,29 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Joint, Mechanism
 
 # Changes at which the terms are computed.
-MASS_STEP, PAYLOAD_STEP_KG = 0.1, 0.05
+MASS_STEP, PAYLOAD_STEP_KG, TILT_STEP_RAD = 0.1, 0.05, 0.05
 LENGTH_SHARES = (-0.1, 0.0, 0.1)
 
 
 class BodyChange(NamedTuple):
-    """Fitted change of the bodies behind a joint."""
+    """Fitted change of the bodies behind a joint and of the base."""
 
     mass_share: float
     payload_kg: float
     payload_m: float  # distance from the last joint
     length_share: float
+    tilts_rad: Mapping[str, float] = {}  # by axis
 
 
 class Slopes(NamedTuple):
-    """Rigid-body terms of a recording and their changes. Masses enter linearly, lengths as a parabola."""
+    """Rigid-body terms of a recording and their changes. Masses and tilts enter linearly, lengths as a parabola."""
 
     base: Array  # [ROWS, T]
     heavier: Array  # [ROWS, T] per share of mass
     distances_m: tuple[float, ...]  # [D] places of a payload
     loaded: Array  # [D, ROWS, T] per kg of a payload at each place
     longer: Array  # [L, ROWS, T] at each of LENGTH_SHARES; [0, ROWS, T] if no joint follows on the link
+    tilted: Mapping[str, Array]  # axis -> [ROWS, T] per rad of the base's tilt
 
     def at(self, change: BodyChange, start: Array | None = None) -> Array:
         """Return the terms with changed bodies, [ROWS, T]; start: terms to start from, instead of the base."""
@@ -39,6 +41,8 @@ class Slopes(NamedTuple):
             found = found + change.payload_kg * _interpolated(self.distances_m, self.loaded, change.payload_m)
         if change.length_share:
             found = found + _interpolated(LENGTH_SHARES, self.longer, change.length_share)
+        for axis, angle in change.tilts_rad.items():
+            found = found + angle * self.tilted[axis]
         return np.asarray(found)
 
 
@@ -59,6 +63,9 @@ def slopes(mechanism: Mechanism, joint: Joint, around: Mapping[str, tuple[Array,
         distances_m=distances,
         loaded=np.stack([changed(load) for load in loads]) / PAYLOAD_STEP_KG,
         longer=np.array([changed(Change(length_share=share)) for share in shares]).reshape(len(shares), *base.shape),
+        tilted={
+            axis: changed(Change(tilts_rad={axis: TILT_STEP_RAD})) / TILT_STEP_RAD for axis in mechanism.level_axes
+        },
     )
 
 

@@ -1,6 +1,6 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,8 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, slopes
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, slopes
+from softarm.diagnosis.rigs.mjcf.torques import Torques, load, rms, torque
 from softarm.diagnosis.rigs.motion import (
     SLOW,
     STILL,
@@ -54,7 +55,7 @@ UNSURE_WARNED = 0.1
 MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
 OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
-ZERO_RAD, ZERO_SHARE = 3e-3, 2e-3
+ZERO_RAD, ZERO_SHARE, LEVEL_RAD = 3e-3, 2e-3, 5e-3
 # The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
 ZERO_APART = 20
 # Travels over which a model's friction may bend, in its usual value.
@@ -79,9 +80,11 @@ class JointView(RigView):
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
+        self._torques = Torques(self._terms, self._motions)
         self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
         self._refuse_mistakes(trials)
         self._scales = scales = self._measure(step)
+        self._like_tilt = self._torques.like_tilt(scales.tilts, scales.follows)
         own = joint_effects(stage.name, scales)
         given = given_values(stage, own)
         self._known = neutral_values(own) | self._nominal() | given
@@ -199,7 +202,7 @@ class JointView(RigView):
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
         joint, actuator = self._joint, self._actuator
         needed = [
-            _torque(terms.base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
+            torque(terms.base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
             for m, terms in zip(self._motions, self._terms, strict=True)
         ]
         seen, sent = np.concatenate([m.position for m in self._motions]), None
@@ -217,28 +220,25 @@ class JointView(RigView):
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
-        pairs = [*zip(found, self._terms, strict=True)]
-
-        def total(changes: Callable[[Slopes], Array]) -> Array:
-            return np.concatenate([_torque(changes(terms), m) for m, terms in pairs])
-
-        needed = [total(lambda x: x.base), total(lambda x: x.heavier), total(lambda x: x.loaded[-1])]
-        longer = total(lambda x: x.longer[-1]) if self._mechanism.carries(joint) else np.zeros(1)
-        torque, load = np.abs(needed[0]), np.abs(np.concatenate([_load(terms.base, m) for m, terms in pairs]))
-        rms = [float(np.sqrt(np.mean(x**2))) for x in needed]
-        inertia = float(np.mean(np.concatenate([terms.base[laws.INERTIA] for terms in self._terms])))
+        torques, terms = self._torques, self._terms
+        needed, loads = torques.total(x.base for x in terms), np.abs(torques.load(x.base for x in terms))
+        longer = torques.total(x.longer[-1] for x in terms) if self._mechanism.carries(joint) else np.zeros(1)
+        heavier, loaded = torques.total(x.heavier for x in terms), torques.total(x.loaded[-1] for x in terms)
+        felt = FELT * rms(needed)
+        inertia = float(np.mean(np.concatenate([x.base[laws.INERTIA] for x in terms])))
         floor = joint.viscous * speed + joint.dry  # a model without bodies needs this much at least
         return JointScales(
             joint=joint,
             driven=actuator is not None,
             follows=actuator is not None and actuator.kp > 0,
-            torque=float(np.quantile(torque, 0.995)) + floor,
-            usual=float(np.mean(torque)) + floor,
-            load=float(np.quantile(load, 0.995)) * (float(np.max(load)) > FELT * float(np.max(torque))),
-            mass=float(rms[1] > FELT * rms[0]),
-            payload=rms[0] / rms[2] if rms[2] > FELT * rms[0] else np.inf,
-            reach=self._terms[0].distances_m[-1],
-            carries=float(np.sqrt(np.mean(longer**2))) > FELT * rms[0],
+            torque=float(np.quantile(np.abs(needed), 0.995)) + floor,
+            usual=float(np.mean(np.abs(needed))) + floor,
+            load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
+            mass=float(rms(heavier) > felt),
+            payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
+            reach=terms[0].distances_m[-1],
+            carries=rms(longer) > felt,
+            tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
             inertia=inertia,
             speed=max(speed, 1e-9),
             travel=max(float(max(np.ptp(m.position) for m in found)), 1e-9),
@@ -247,6 +247,12 @@ class JointView(RigView):
             period_s=period(found),
             command_rate=self._command_rate(),
         )
+
+    @property
+    def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
+        """Effect -> effects that no recording of such a stage can separate from it."""
+        like, known = f"{self.stage}.{self._like_tilt}", {effect.name for effect in self.effects}
+        return {**super().indistinguishable, **({like: (f"{self.stage}.tilt",)} if like in known else {})}
 
     def _command_rate(self) -> float:
         if not self._inputs:
@@ -287,7 +293,7 @@ class JointView(RigView):
             own["dead_time.delay"] = HELD_LATE * usual_step(self._inputs)
             own["torque_offset.torque"] = OF_FORCE * s.usual
             own["command_bias.bias"] = self._zero
-        return own
+        return own if self._like_tilt else own | {f"tilt.{axis}": LEVEL_RAD for axis in self._scales.tilts}
 
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
@@ -352,8 +358,13 @@ class JointView(RigView):
     def _prepared(self, point: Point, other: Sequence[Array] | None = None) -> tuple[Array, list[Array], list[Array]]:
         """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""
         at = {path: self.value(point, path) for path in self._known}
-        changed = (at.get(path, 0.0) for path in ("mass.scale", "payload.mass", "payload.distance", "length.scale"))
-        body = BodyChange(*changed)
+        body = BodyChange(
+            mass_share=at.get("mass.scale", 0.0),
+            payload_kg=at.get("payload.mass", 0.0),
+            payload_m=at.get("payload.distance", 0.0),
+            length_share=at.get("length.scale", 0.0),
+            tilts_rad={axis: at[f"tilt.{axis}"] for axis in self._scales.tilts},
+        )
         paths = [terms.at(body, None if other is None else other[k]) for k, terms in enumerate(self._terms)]
         delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
         factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
@@ -447,7 +458,7 @@ class JointView(RigView):
         t, v = m.grid.t_s, m.speed
         direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
         signals = {
-            "torque": _load(self._terms[k].base, m),
+            "torque": load(self._terms[k].base, m),
             "speed": v,
             "direction": direction,
             "position": m.position,
@@ -469,16 +480,6 @@ def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
 def _smooth(acceleration: Array) -> Array:
     """Return an acceleration averaged over three samples, [T]."""
     return np.asarray(np.convolve(acceleration, np.full(3, 1 / 3), "same"))
-
-
-def _load(terms: Array, m: Motion) -> Array:
-    """Return the load torque along a measured motion, [T]."""
-    return np.asarray(terms[laws.LOAD] + terms[laws.BY_POSITION] * m.position + terms[laws.BY_SPEED] * m.speed)
-
-
-def _torque(terms: Array, m: Motion) -> Array:
-    """Return the torque that a measured motion needs without friction, [T]."""
-    return np.asarray(_load(terms, m) + terms[laws.INERTIA] * m.acceleration)
 
 
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:

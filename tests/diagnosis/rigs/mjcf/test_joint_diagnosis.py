@@ -17,7 +17,8 @@ from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series
 from softarm.diagnosis.engine.decision import Decision
-from softarm.diagnosis.rigs.diagnose import Finding, diagnose_table, settled, view_of
+from softarm.diagnosis.rigs.candidates import candidates
+from softarm.diagnosis.rigs.diagnose import Finding, common_causes, diagnose_table, settled, view_of
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.cases import stage_text
@@ -29,11 +30,14 @@ EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
 KINDS = ("multisine", "holds", "multisine")
 
 
-def written(folder, robot, laws):
+TILT_RAD = (0.0524, -0.0349)
+
+
+def written(folder, robot, truth):
     """Record three trials of a robot with its model and its stage.yaml."""
     random = np.random.default_rng(3)
     for number, kind in enumerate(KINDS):
-        write(record(ROBOTS[robot], Truth(laws), kind, 5.0, random), folder / f"{kind}-{number}.csv")
+        write(record(ROBOTS[robot], truth, kind, 5.0, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
     return folder / "stage.yaml"
@@ -43,7 +47,7 @@ def written(folder, robot, laws):
 def faulty(tmp_path_factory):
     """A camera whose tilt axis ignores errors below 12 mrad, on a vehicle that moves."""
     law = replace(JointLaw(), dead=0.012)
-    return written(tmp_path_factory.mktemp("faulty"), "camera", {"tilt": law})
+    return written(tmp_path_factory.mktemp("faulty"), "camera", Truth({"tilt": law}))
 
 
 def test_each_measured_joint_is_a_stage_of_its_own(faulty):
@@ -61,7 +65,7 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
 @pytest.fixture(scope="module")
 def swinging(tmp_path_factory):
     """Three recordings of a cart that a pole hangs from."""
-    return tables.read(written(tmp_path_factory.mktemp("swinging"), "cartpole", {}))
+    return tables.read(written(tmp_path_factory.mktemp("swinging"), "cartpole", Truth({})))
 
 
 def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smallest_gap(swinging):
@@ -132,6 +136,46 @@ def test_a_name_is_rated_if_the_motion_that_loads_its_joint_is_explained(pole, r
     assert len(answer.warnings) == (0 if rated else 1)
     alone = {"rail": found["rail"]}
     assert alone["rail"].rated(alone) is found["rail"]
+
+
+def test_a_cause_that_several_joints_may_share_is_stated():
+    def named(stage, *names):
+        about = finding(stage, (), kind="named", confidence=0.9)
+        effect, *others = names
+        first = about.named[0].model_copy(update={"name": effect, "equivalents": tuple(others)})
+        return replace(about, named=(first,))
+
+    hip, knee = named("hip", "hip.sensor_bias", "hip.tilt"), named("knee", "knee.tilt")
+    alone = named("ankle", "ankle.coulomb_friction")
+    assert list(common_causes([hip, alone])) == []
+    (text,) = common_causes([hip, knee, alone])
+    assert text.startswith("hip, knee: a base that is not level may be the one cause")
+
+
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory):
+    """A camera on a base that is tilted by 3 and -2 degrees."""
+    truth = Truth({}, tilt_rad=TILT_RAD)
+    return written(tmp_path_factory.mktemp("tilted"), "camera", truth)
+
+
+def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tilted):
+    """The pan axis is upright: no other effect makes it depend on gravity."""
+    trials = [trial for trial in tables.read(tilted) if trial.stage.name == "pan"]
+    (effect,) = diagnose_table(trials).verdict.effects
+    assert (effect.name, effect.equivalents) == ("pan.tilt", ())
+    for axis, angle in zip("xy", TILT_RAD, strict=True):
+        assert effect.parameters[axis].low <= angle <= effect.parameters[axis].high
+
+
+def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path):
+    trials = tables.read(written(tmp_path, "leg", Truth({})))
+    for joint in ("hip", "knee", "ankle"):
+        view = JointView([trial for trial in trials if trial.stage.name == joint])
+        same = {name for names in view.indistinguishable.values() for name in names}
+        candidate = f"{joint}.tilt" in {each.name for each in candidates(view)}
+        assert candidate != (f"{joint}.tilt" in same)
+    assert view.value({}, "tilt.y") == 0.0
 
 
 def test_joints_on_one_branch_load_each_other(swinging):

@@ -117,6 +117,29 @@ def test_a_longer_link_carries_its_masses_and_the_next_joint_farther_out(tmp_pat
     assert not nominal.carries(nominal.joint("elbow"))
 
 
+def test_a_tilted_base_turns_gravity_as_a_rotated_body_does(arm, motion, tmp_path):
+    text = arm.path.read_text()
+    turret = '<body name="turret" pos="0 0 0.1"'
+    assert turret in text
+    (tmp_path / "tilted.xml").write_text(text.replace(turret, f'{turret} euler="0.03 -0.02 0"'))
+    tilted, change = Mechanism(tmp_path / "tilted.xml"), Change(tilts_rad={"x": 0.03, "y": -0.02})
+    for name in ("base", "shoulder", "wrist"):
+        base, found, expected = (
+            mechanism.terms(mechanism.joint(name), motion, each)
+            for mechanism, each in ((arm, Change()), (arm, change), (tilted, Change()))
+        )
+        # The linear change lacks the squares of the angles.
+        assert np.abs(found - expected).max() < 0.05 * np.abs(expected - base).max()
+
+
+def test_the_base_tilts_about_the_axes_that_gravity_does_not_point_along(tmp_path):
+    text = ROBOTS["arm"].model.read_text()
+    (tmp_path / "wall.xml").write_text(text.replace("<option ", '<option gravity="0 9.81 0" '))
+    (tmp_path / "space.xml").write_text(text.replace("<option ", '<option gravity="0 0 0" '))
+    assert [*Mechanism(tmp_path / "wall.xml").level_axes] == ["x", "z"]
+    assert not Mechanism(tmp_path / "space.xml").level_axes
+
+
 def test_an_actuator_is_read_in_the_units_of_its_joint():
     joint = Mechanism(ROBOTS["leg"].model).joint("hip")
     assert (joint.actuator.name, joint.actuator.scale, joint.actuator.kp) == ("hip_motor", 6.0, 0.0)

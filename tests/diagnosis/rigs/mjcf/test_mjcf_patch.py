@@ -63,6 +63,33 @@ def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
     assert after.body_mass.sum() == pytest.approx(before.body_mass.sum() + 0.11)
 
 
+@pytest.mark.parametrize("option", ['<option timestep="0.002" integrator="implicitfast"/>', ""])
+def test_the_tilt_that_several_joints_feel_turns_gravity_once(tmp_path, option):
+    file = tmp_path / "arm.xml"
+    text = ARM.read_text().replace('<option timestep="0.002" integrator="implicitfast"/>', option)
+    assert ("<option" in text) == bool(option)
+    file.write_text(text)
+    tilts = [("base.tilt.x", 0.04, "rad"), ("base.tilt.y", -0.02, "rad"), ("shoulder.tilt.x", 0.06, "rad")]
+    found = patch.patched(file, verdict(tilts), calibration=True)
+    assert not found.left_out
+    x, y, z = read(found, tmp_path).opt.gravity
+    assert np.linalg.norm((x, y, z)) == pytest.approx(9.81, rel=1e-5)
+    assert (x, y) == pytest.approx((-0.02 * 9.81, -0.05 * 9.81), rel=3e-3)
+
+
+def test_a_tilt_is_stated_if_the_file_cannot_hold_it(tmp_path):
+    file = tmp_path / "arm.urdf"
+    link = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    joint = '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/><limit effort="1" velocity="1"/>'
+    file.write_text(
+        f'<robot name="r"><link name="a">{link}</link><link name="b">{link}</link>'
+        f'<joint name="j" type="revolute">{joint}</joint></robot>'
+    )
+    found = patch.patched(file, verdict([("j.tilt.y", 0.05, "rad")]), calibration=True)
+    assert found.text == file.read_text()
+    assert found.left_out == ("gravity of 0.489888 0 -9.79776 m/s^2",)
+
+
 def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
     found = patch.patched(ARM, verdict(calibration=[("elbow.mass_wrist", 0.02, "-")]), calibration=True)
     body = read(found, tmp_path).body("wrist")

@@ -1,0 +1,71 @@
+"""Torques that the measured motion of a joint needs, and how they change with bodies and base."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.slopes import Slopes
+from softarm.diagnosis.rigs.motion import Motion
+
+# Share of a tilt's torque that a wrong zero or a constant torque leaves, up to which recordings cannot separate them.
+TILT_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Torques:
+    """Torques of one joint along the motion of all its recordings, [T of all recordings]; without friction."""
+
+    terms: Sequence[Slopes]  # rigid-body terms of each recording
+    motions: Sequence[Motion]
+
+    def total(self, terms: Iterable[Array]) -> Array:
+        """Return the torque with the joint's own acceleration; terms: [ROWS, T] of each recording."""
+        return np.concatenate([torque(each, motion) for each, motion in zip(terms, self.motions, strict=True)])
+
+    def load(self, terms: Iterable[Array]) -> Array:
+        """Return the torque without the joint's own acceleration; terms: [ROWS, T] of each recording."""
+        return np.concatenate([load(each, motion) for each, motion in zip(terms, self.motions, strict=True)])
+
+    def tilted(self) -> Mapping[str, Array]:
+        """Return the torque per rad of the base's tilt, by axis."""
+        return {axis: self.load(each.tilted[axis] for each in self.terms) for axis in self.terms[0].tilted}
+
+    def like_tilt(self, axes: Sequence[str], follows: bool) -> str:
+        """Return the effect whose torque is that of a tilted base, or an empty string.
+
+        Args:
+            axes: axes about which a tilt loads the joint.
+            follows: whether a position loop drives the joint.
+        """
+        falls = np.concatenate([terms.base[laws.BY_POSITION] for terms in self.terms])
+        constant = "command_bias" if follows else "torque_offset"
+        tilted = [self.tilted()[axis] for axis in axes]
+        for name, other in (("sensor_bias", falls), (constant, np.ones_like(falls))):
+            if tilted and all(rms(_without(each, other)) < TILT_SHARE * rms(each) for each in tilted):
+                return name
+        return ""
+
+
+def load(terms: Array, motion: Motion) -> Array:
+    """Return the load torque along a measured motion, [T]; terms: [ROWS, T]."""
+    by_motion = terms[laws.BY_POSITION] * motion.position + terms[laws.BY_SPEED] * motion.speed
+    return np.asarray(terms[laws.LOAD] + by_motion)
+
+
+def torque(terms: Array, motion: Motion) -> Array:
+    """Return the torque that a measured motion needs without friction, [T]; terms: [ROWS, T]."""
+    return np.asarray(load(terms, motion) + terms[laws.INERTIA] * motion.acceleration)
+
+
+def rms(values: Array) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _without(values: Array, other: Array) -> Array:
+    """Return what a multiple of other values does not explain of some values, [T]."""
+    squares = float(other @ other)
+    return values - (other @ values) / squares * other if squares else values
