@@ -27,10 +27,13 @@ _CONTROL = "tests/daemon/control"
 _TICK = ("tests/daemon/test_tick.py", "tests/daemon/test_tick_stops.py")
 _LATCH = "tests/daemon/test_latch.py"
 _PAGE = "tests/drivers/test_wires_page.py"  # docs/reference/wires.md specifies every codec
+_RAIL = "tests/drivers/rail"
+_WORDS = (f"{_RAIL}/test_driver.py", f"{_RAIL}/commissioning/test_search.py")  # controlwords and bits of the statusword
+_TRACED = "tests/training/task/test_tensor_environment.py::test_the_traced_braking_law_has_the_bits_of_the_law"
 TARGETS = {
     target.module: target
     for target in (
-        Target("common/braking.py", ("tests/common/test_braking.py", f"{_CONTROL}/test_safety.py")),
+        Target("common/braking.py", ("tests/common/test_braking.py", f"{_CONTROL}/test_safety.py", _TRACED)),
         Target("daemon/control/safety.py", (f"{_CONTROL}/test_safety.py",)),
         Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, *_TICK)),
         Target("daemon/control/modes.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, *_TICK)),
@@ -43,7 +46,7 @@ TARGETS = {
         Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
         Target("daemon/tick.py", (*_TICK, _LATCH)),
         Target("policies/runner.py", ("tests/policies/test_runner.py",)),
-        Target("drivers/rail/cia402.py", ("tests/drivers/rail/test_cia402.py", _PAGE)),
+        Target("drivers/rail/cia402.py", (f"{_RAIL}/test_cia402.py", _PAGE, *_WORDS)),
         Target("drivers/regulator/teensy.py", ("tests/drivers/regulator/test_teensy.py", _PAGE)),
         Target("drivers/regulator/cobs.py", ("tests/drivers/regulator/test_cobs.py", _PAGE)),
         Target("drivers/mocap/payload.py", ("tests/drivers/mocap/test_payload.py", _PAGE)),
