@@ -1,7 +1,7 @@
 """Candidate effects of the robot with their tolerances and starts; everything else comes from the registry."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance, starts
 from softarm.diagnosis.robot.views import ABOUT_RAIL, ON_MOTOR
@@ -66,6 +66,8 @@ _REACH = {"pressure.deadband.width": _JUMP_KPA}
 _MANY_STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
     "pressure.deadband": tuple((_JUMP_KPA * i,) for i in range(5, 101)),
 }
+# Without the arm's motion, the regulator's reading shows only the sum of this parameter and a nuisance.
+_SUMMED = {"pressure.sensor_bias.bias": "pressure.gain.offset"}
 _FORMS: dict[str, tuple[dict[str, float], ...]] = {
     "rail.gain": ({}, {ON_MOTOR: 1.0}),
     "rail.backlash": ({}, {ON_MOTOR: 1.0}),
@@ -73,10 +75,11 @@ _FORMS: dict[str, tuple[dict[str, float], ...]] = {
 }
 
 
-def candidates(model: Model) -> tuple[Candidate, ...]:
-    """Return every effect that a fit can find for a nominal model, in causal order."""
+def candidates(model: Model, stages: Collection[str] = _STAGES) -> tuple[Candidate, ...]:
+    """Return every effect that a fit can find for a nominal model, in causal order; stages: those that are compared."""
+    summed = {} if "arm" in stages else _SUMMED
     names = [n for n, e in REGISTRY.items() if e.stage in _STAGES and e.parameters and n not in _COUNTED]
-    return tuple(each for name in names for each in _forms(name, model))
+    return tuple(each for name in names for each in _forms(name, model, summed))
 
 
 def nuisances(model: Model) -> tuple[Nuisance, ...]:
@@ -93,15 +96,15 @@ def nuisances(model: Model) -> tuple[Nuisance, ...]:
     return tuple(found)
 
 
-def _forms(name: str, model: Model) -> Iterator[Candidate]:
+def _forms(name: str, model: Model, summed: Mapping[str, str]) -> Iterator[Candidate]:
     effect = REGISTRY[name]
-    parameters = tuple(_parameter(name, p, model) for p in effect.parameters)
+    parameters = tuple(_parameter(name, p, model, summed.get(f"{name}.{p.name}", "")) for p in effect.parameters)
     for form in _FORMS.get(name, ({},)):
         begun = _MANY_STARTS.get(name) or tuple(starts(parameters, effect.parameters))
         yield Candidate(name, effect.stage, parameters, begun, form, name in _CONSTANT)
 
 
-def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
+def _parameter(name: str, p: Parameter, model: Model, twin: str) -> FittedParameter:
     path, nominal = f"{name}.{p.name}", value(model, name, p.name)
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
@@ -121,6 +124,7 @@ def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
         tolerance=_tolerance(path, nominal, size),
         open_end=path in _OPEN_ENDS,
         shape=p.default is not None,
+        twin=twin,
         reach=_REACH.get(path, math.inf),
     )
 

@@ -50,7 +50,7 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
     named = [count for count in counted if count.named]
     found = Examination(
         comparison.setup,
-        candidates(comparison.model),
+        candidates(comparison.model, comparison.stages),
         NEXT_TO_ANOTHER if named else ROBOT,
         lambda what, done: progress(what, 0.12 + 0.78 * done),
     )
