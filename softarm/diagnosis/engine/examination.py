@@ -207,7 +207,8 @@ class Examination:
     def named(self, decision: Decision) -> Fit:
         """Return the fit of the named effects alone: the model of figures, calibration and patch.
 
-        If one of them then has the model's own value, all keep the sizes that they have beside the dropped effects.
+        If one of them then has the model's own value or is at a bound, all keep the sizes that they have beside the
+        dropped effects.
         """
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
         kept = [i for i, name in enumerate(chosen.names) if name in names]
@@ -216,7 +217,7 @@ class Examination:
         if len(kept) == len(chosen.effects):
             return chosen
         alone = self.verdict_problem.fit([chosen.only(kept)], self.thresholds.search.rounds)[0]
-        return self.verdict_problem.part(chosen, kept) if self._open(alone) else alone
+        return self.verdict_problem.part(chosen, kept) if self._open(alone) or alone.at_bound else alone
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:
         """Return a fit without each of its effects, by the name of the missing one."""

@@ -115,6 +115,19 @@ def test_a_named_effect_keeps_its_size_if_it_has_none_without_the_dropped_ones(f
     assert named.point == {path: chosen.point[path] for path in (SWING, STOP)}
 
 
+def test_a_named_effect_keeps_its_size_if_it_goes_to_a_bound_without_the_dropped_ones(found):
+    """A Stribeck speed went to the end of its range once the other frictions were dropped."""
+    decision = _without_level(found)
+    low = _candidate(SWING, 0.3)
+    low = replace(low, parameters=(replace(low.parameters[0], high=0.7),))
+    effects = (low, _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
+    (chosen,) = found.verdict_problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
+    found.choice = replace(found.choice, chosen=chosen)
+    named = found.named(decision)
+    assert named.point == {SWING: chosen.point[SWING]}
+    assert not named.at_bound
+
+
 def test_if_all_or_none_are_named_nothing_is_fitted_again(found):
     decision = found.decide()
     assert found.named(decision) is found.choice.chosen

@@ -12,6 +12,8 @@ from softarm.simulator.effect_table import Effect, shape, strength
 USUAL = 0.15
 # Usual travel over which dry friction bends before it slips: rad, and as a share of a slide's travel.
 GIVE_RAD, GIVE_SHARE = 1e-3, 1e-3
+# Largest speed at which friction at rest fades, as a share of the fastest motion; one that fades later is dry friction.
+CREEP = 0.3
 _FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
 
 # Pairs that are easily mistaken for each other, and the motion that separates them.
@@ -181,7 +183,9 @@ def _friction(s: JointScales) -> Iterator[Effect]:
         "stiction",
         (
             strength("torque", s.force, 0.0, 0.0, s.torque, usual, "beyond the sliding friction"),
-            shape("speed", f"{s.length}/s", 0.05 * s.speed, 1e-3 * s.speed, s.speed, 0.05 * s.speed, "37 % remain"),
+            shape(
+                "speed", f"{s.length}/s", 0.05 * s.speed, 1e-3 * s.speed, CREEP * s.speed, 0.05 * s.speed, "37 % remain"
+            ),
         ),
         "dry friction is larger at rest and at creeping speed (Stribeck)",
         _FRICTION,
