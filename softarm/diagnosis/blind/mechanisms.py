@@ -25,8 +25,9 @@ from softarm.diagnosis.blind.rigs import add_workers, answered, run
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.mechanisms.cases import draw_and_write
 
-# Share of each category: one fault, one at half strength, two at two joints, none, and one that no effect expresses.
-SHARES = {"single": 0.25, "half": 0.15, "two": 0.15, "none": 0.3, "unknown": 0.15}
+# Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
+# that no effect expresses.
+SHARES = {"single": 0.2, "half": 0.15, "two": 0.15, "whole": 0.1, "none": 0.25, "unknown": 0.15}
 # Confidence from which a wrong name counts as sure.
 SURE = 0.8
 
@@ -62,7 +63,7 @@ def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
     if verdict is None:
         return "failed"
     groups = [{effect["name"], *effect["equivalents"]} for effect in verdict["effects"]]
-    causes = [{f"{cause['joint']}.{name}" for name in cause["names"]} for cause in truth["causes"]]
+    causes = [{f"{j}.{name}" for j in cause["joints"] for name in cause["names"]} for cause in truth["causes"]]
     known = [cause for cause in causes if cause]
     if not known:
         if groups:
@@ -84,7 +85,7 @@ def joint_right(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | N
     stage = verdict and verdict["where"]["stage"]
     if not stage or not any(cause["names"] for cause in truth["causes"]):
         return None
-    return stage in {cause["joint"] for cause in truth["causes"]}
+    return stage in {joint for cause in truth["causes"] for joint in cause["joints"]}
 
 
 def table(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> str:
@@ -109,7 +110,7 @@ def wrong_lines(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) ->
     for truth, answer in cases:
         if (found := outcome(truth, answer)) == "right":
             continue
-        causes = ", ".join(f"{cause['joint']}.{cause['fault']}" for cause in truth["causes"]) or "healthy"
+        causes = ", ".join(f"{'/'.join(c['joints'])}.{c['fault']}" for c in truth["causes"]) or "healthy"
         verdict = answer["verdict"]
         named = "; ".join(
             f"{e['name']} ({e['confidence'] or 0:.2f}) = {', '.join(e['equivalents'])}" for e in verdict["effects"]

@@ -62,24 +62,37 @@ UNKNOWNS: Final[Mapping[str, Fault]] = {
 }
 
 
+# Faults of the whole mechanism, which several joints show: base tilted by up to four degrees, a load at the end.
+WHOLE: Final[Mapping[str, tuple[str, Callable[[Truth, np.random.Generator], Truth]]]] = {
+    "tilted": ("tilt", lambda truth, random: replace(truth, tilt_rad=_angles(random))),
+    "loaded": ("payload", lambda truth, random: replace(truth, load=random.uniform(0.4, 1.0))),
+}
+
+
 def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str) -> None:
     """Record one case: its input in FOLDER/data/NAME and its causes in FOLDER/truths/NAME.json.
 
-    Robots take turns with the index of the case. The category is "single", "half", "two", "none" or "unknown".
+    Robots take turns with the index of the case. The category is "single", "half", "two", "whole", "none" or
+    "unknown".
     """
     random = np.random.default_rng((seed, index))
     robot = list(ROBOTS.values())[index % len(ROBOTS)]
     laws, masses = _healthy(robot, random)
     strength = 0.5 if category == "half" else 1.0
-    count = {"none": 0, "two": 2}.get(category, 1)
+    count = {"none": 0, "two": 2, "whole": 0}.get(category, 1)
     table, causes = UNKNOWNS if category == "unknown" else FAULTS, []
     scales = scales_of(robot)
     for joint in map(str, random.permutation(robot.judged)[:count]):
         fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
         key = str(random.choice(fits))
         laws[joint] = table[key].law(laws[joint], scales[joint], strength * random.uniform(0.8, 1.25))
-        causes.append({"fault": key, "joint": joint, "names": list(table[key].names)})
+        causes.append({"fault": key, "joints": [joint], "names": list(table[key].names)})
     truth = Truth(laws, masses)
+    if category == "whole":
+        key = str(random.choice(list(WHOLE)))
+        name_of, change = WHOLE[key]
+        truth = change(truth, random)
+        causes.append({"fault": key, "joints": list(robot.judged), "names": [name_of]})
     place = folder / "data" / name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):
@@ -164,6 +177,12 @@ def _healthy(robot: Robot, random: np.random.Generator) -> tuple[dict[str, Joint
 
     laws = {name: JointLaw(viscous=off(), dry=off(), armature=off(), gain=off()) for name in robot.judged}
     return laws, {model.body(i).name: off() for i in range(1, model.nbody)}
+
+
+def _angles(random: np.random.Generator) -> tuple[float, float]:
+    """Return tilts of two to four degrees about both axes, rad."""
+    x, y = random.choice((-1, 1), 2) * np.radians(random.uniform(2.0, 4.0, 2))
+    return float(x), float(y)
 
 
 def _fits(robot: Robot, joint: str, fault: Fault) -> bool:

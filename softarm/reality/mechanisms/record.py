@@ -87,6 +87,7 @@ HARMONICS = 7
 NOISE = 2e-4  # RMS of a reading, as a share of the half range
 HOLD_S = 1.6  # of a commanded level
 TURN = 2 * np.pi
+POINT_KG_M2 = 1e-9  # inertia of a point mass; MuJoCo refuses zero
 HEAVY = 1e7  # armature of a joint that is moved from outside
 
 
@@ -97,6 +98,7 @@ class Truth:
     laws: Mapping[str, JointLaw]
     masses: Mapping[str, float] = field(default_factory=dict)  # body -> factor
     tilt_rad: tuple[float, float] = (0.0, 0.0)  # of the base, about the model's x axis, then about its y axis
+    load: float = 0.0  # extra point mass at the last body's centre, as a share of its mass
 
 
 def write(columns: Mapping[str, Array], path: Path) -> None:
@@ -144,6 +146,16 @@ def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Ar
     return np.asarray(half * rise * waves / np.abs(waves).max())
 
 
+def loaded(mujoco: Any, path: Path, load: float) -> Any:
+    """Return a model with an extra mass at the centre of its last body, as a share of that body's mass."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    if load:
+        last = spec.bodies[-1]
+        extra = last.add_body(name="load", pos=last.ipos, mass=load * last.mass, inertia=[POINT_KG_M2] * 3)
+        extra.explicitinertial = True
+    return spec.compile()
+
+
 def _tilted(gravity: Array, tilt_rad: tuple[float, float]) -> Array:
     """Return gravity in the frame of a tilted base, m/s^2, [3]."""
     (sx, sy), (cx, cy) = np.sin(tilt_rad), np.cos(tilt_rad)
@@ -161,7 +173,7 @@ class _Plant:
         self.mujoco: Any = mujoco
         self.robot, self.truth = robot, truth
         self.nominal = mujoco.MjModel.from_xml_path(str(robot.model))
-        model = self.model = mujoco.MjModel.from_xml_path(str(robot.model))
+        model = self.model = loaded(mujoco, robot.model, truth.load)
         model.opt.timestep, model.opt.integrator = STEP_S, int(mujoco.mjtIntegrator.mjINT_EULER)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         model.dof_damping[:] = 0.0

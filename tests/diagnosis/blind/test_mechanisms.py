@@ -4,9 +4,10 @@ import pytest
 
 from softarm.diagnosis.blind import mechanisms
 
-FRICTION = {"joint": "elbow", "fault": "friction", "names": ["coulomb_friction"]}
-LATE = {"joint": "wrist", "fault": "late", "names": ["dead_time", "latency"]}
-COGGING = {"joint": "elbow", "fault": "cogging", "names": []}
+FRICTION = {"joints": ["elbow"], "fault": "friction", "names": ["coulomb_friction"]}
+LATE = {"joints": ["wrist"], "fault": "late", "names": ["dead_time", "latency"]}
+TILTED = {"joints": ["elbow", "wrist"], "fault": "tilted", "names": ["tilt"]}
+COGGING = {"joints": ["elbow"], "fault": "cogging", "names": []}
 
 
 def answer(*groups, verdict="named", stage="elbow"):
@@ -24,6 +25,10 @@ def answer(*groups, verdict="named", stage="elbow"):
         ([LATE], answer(["wrist.dead_time", "wrist.latency"]), "right"),
         ([FRICTION, LATE], answer(["elbow.coulomb_friction"]), "part"),
         ([FRICTION, LATE], answer(["elbow.coulomb_friction"], ["wrist.latency"]), "right"),
+        ([TILTED], answer(["elbow.tilt"], ["wrist.tilt"]), "right"),
+        ([TILTED], answer(["elbow.tilt"]), "right"),
+        ([TILTED], answer(["elbow.tilt"], ["wrist.sensor_bias", "wrist.tilt"]), "set"),
+        ([TILTED], answer(["elbow.sensor_bias"], ["wrist.tilt"]), "wrong"),
         ([], answer(verdict="none", stage=None), "right"),
         ([], answer(["elbow.damping"]), "wrong"),
         ([COGGING], answer(verdict="unknown"), "right"),

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from softarm.reality.mechanisms import cases
-from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, draw_and_write, scales_of
-from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record
+from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of
+from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
+
+HEALTHY = Truth({})
 
 
-def columns(robot, laws=None, seconds=1.5, kind="multisine"):
-    return record(ROBOTS[robot], Truth(laws or {}), kind, seconds, np.random.default_rng(0))
+def columns(robot, truth=HEALTHY, seconds=1.5, kind="multisine"):
+    return record(ROBOTS[robot], truth, kind, seconds, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +50,23 @@ def scale():
 @pytest.mark.parametrize("name", [*FAULTS, *UNKNOWNS])
 def test_every_fault_changes_the_recording(name, healthy, scale):
     laws = {"tilt": (FAULTS | UNKNOWNS)[name].law(JointLaw(), scale, 1.0)}
-    faulty = columns("camera", laws)
+    faulty = columns("camera", Truth(laws))
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
+
+
+@pytest.mark.parametrize(("name", "joint"), [("tilted", "pan"), ("loaded", "tilt")])
+def test_every_fault_of_the_whole_mechanism_changes_a_joint(name, joint, healthy):
+    _, change = WHOLE[name]
+    faulty = columns("camera", change(HEALTHY, np.random.default_rng(0)))
+    assert np.abs(faulty[f"q_{joint}"] - healthy[f"q_{joint}"]).max() >= 2e-3
+
+
+def test_a_load_adds_its_share_of_the_last_body_s_mass():
+    before, after = (loaded(mujoco, ROBOTS["camera"].model, load) for load in (0.0, 0.5))
+    added = after.body_subtreemass[0] - before.body_subtreemass[0]
+    assert added == pytest.approx(0.5 * before.body("camera").mass[0])
+    centre = [model.body("load").pos if model is after else model.body("camera").ipos for model in (before, after)]
+    assert centre[1] == pytest.approx(centre[0])
 
 
 def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
@@ -59,4 +76,12 @@ def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
         "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",
     ]  # fmt: skip
     causes = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
-    assert len({cause["joint"] for cause in causes}) == 2
+    assert len({joint for cause in causes for joint in cause["joints"]}) == 2
+
+
+def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "DURATION_S", 1.0)
+    draw_and_write(tmp_path, "case", seed=1, index=4, category="whole")
+    (cause,) = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
+    assert cause["joints"] == ["pan", "tilt"]
+    assert cause["names"] in (["tilt"], ["payload"])
