@@ -1,8 +1,8 @@
 """Base class of data models, and JSON conversion of records."""
 
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 
@@ -12,6 +12,8 @@ class Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+# Two numbers as an array of one kind of item: generators of clients hardly know tuples (`prefixItems`).
+Pair = Annotated[tuple[float, ...], Field(min_length=2, max_length=2)]
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
 

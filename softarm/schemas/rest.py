@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field
 
-from softarm.schemas.base import Strict
+from softarm.schemas.base import Pair, Strict
 from softarm.schemas.config import Workspace
 from softarm.schemas.events import Entry
 from softarm.schemas.goals import GoalKind, GoalState
@@ -79,11 +79,11 @@ class RobotAnswer(Strict):
     hinge_z_m: float = Field(description="height of the arm's upper end, which is fixed to the cart")
     link_length_m: tuple[float, ...] = Field(description="from the hinge down")
     reach_m: float = Field(description="from the hinge: the arm's length and the success radius")
-    rail_travel_m: tuple[float, float] = Field(description="between the mechanical stops")
-    rail_limit_m: tuple[float, float] = Field(description="the soft limits of the cart that the safety filter enforces")
+    rail_travel_m: Pair = Field(description="between the mechanical stops")
+    rail_limit_m: Pair = Field(description="the soft limits of the cart that the safety filter enforces")
     rail_margin_m: float = Field(description="distance before the soft limits at which the filter aims to stop")
     cart_velocity_max_m_s: float
-    pressure_limit_kpa: tuple[float, float]
+    pressure_limit_kpa: Pair
     workspace: Workspace = Field(description="allowed region of reach goals")
     success_radius_m: float
     time_limit_s: float = Field(description="of a reach goal")
@@ -112,7 +112,7 @@ class RecentAnswer(Strict):
     mocap_age_ms: tuple[float | None, ...]
     pressure_age_ms: tuple[float | None, ...]
     rail_age_ms: tuple[float | None, ...]
-    bodies: tuple[tuple[tuple[float, float] | None, ...], ...] = Field(
+    bodies: tuple[tuple[Pair | None, ...], ...] = Field(
         description="y, z of each rigid body in the newest frame, m, in the order of `bodies` of the robot; "
         "null: not tracked"
     )

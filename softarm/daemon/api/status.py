@@ -13,6 +13,7 @@ from softarm.daemon.control.failsafe import ACKNOWLEDGE
 from softarm.daemon.control.records import EStop, Outputs, Problems
 from softarm.daemon.logbook.history import utc
 from softarm.policies.registry import PolicyEntry
+from softarm.schemas.base import Pair
 from softarm.schemas.messages import MocapFrame
 from softarm.schemas.policy import TrainingRange
 
@@ -62,7 +63,7 @@ class Status(Outputs):
     stalled: bool  # True if the control loop no longer ticks, so all values are stale
     # y, z of each rigid body in m, in the order of `BODY_NAMES`, from the newest valid frame (`ages_ms.mocap`).
     # An untracked body is null; so is the whole before the first frame.
-    bodies: tuple[tuple[float, float] | None, ...] | None
+    bodies: tuple[Pair | None, ...] | None
     ages_ms: Ages
     problems: Problems
     policy_info: PolicyInfo | None
@@ -188,7 +189,7 @@ def _ages(outputs: Outputs, frame: MocapFrame | None) -> Ages:
     return Ages() if frame is None else Ages(max(0, outputs.t_ns - frame.t_capture_ns) * 1e-6)
 
 
-def _bodies(frame: MocapFrame | None) -> tuple[tuple[float, float] | None, ...] | None:
+def _bodies(frame: MocapFrame | None) -> tuple[Pair | None, ...] | None:
     if frame is None:
         return None
     is_tracked = (body.tracked and math.isfinite(body.y_m) and math.isfinite(body.z_m) for body in frame.bodies)
