@@ -21,6 +21,11 @@ def write_bytes(path: Path | str, content: bytes) -> None:
         file.write(content)
 
 
+def exists(path: Path | str) -> bool:
+    """Return whether a path exists; a name that no file system can hold, too long or with a null byte, does not."""
+    return os.path.exists(path)
+
+
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, or of all files in a folder; the name of the path itself does not count."""
     if not path.is_dir():

@@ -164,7 +164,7 @@ def factor(unit: str) -> tuple[float, str]:
     names = [name for own, others in known.items() for name in (own, *others)]
     same = [name for name in names if name.lower() == plain.lower()]
     near = f"did you mean {' or '.join(same)}? " if same else did_you_mean(plain, names)
-    raise ValueError(f"no unit '{unit}'; {near}allowed {', '.join(names)}, and these per second (V/s, deg/s^2)")
+    raise ValueError(f"no unit {shown(unit)}; {near}allowed {', '.join(names)}, and these per second (V/s, deg/s^2)")
 
 
 def with_unit(name: str, unit: str) -> str:

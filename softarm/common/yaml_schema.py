@@ -106,7 +106,7 @@ def _mistake(document: Document, schema: type[BaseModel], item: Mapping[str, Any
 
 def _said(document: Document, text: str, otherwise: Place) -> Mistake:
     """Return a mistake at the first key that a sentence names, or at another place."""
-    paths = (tuple(word.split(".")) for word in re.findall(r"[a-z_0-9.]+\.[a-z_0-9]+", text))
+    paths = (tuple(word.split(".")) for word in re.findall(r"(?<![a-z_0-9.])[a-z_0-9.]+\.[a-z_0-9]+", text))
     place = next((path for path in paths if path in document.lines), otherwise)
     return Mistake(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
 

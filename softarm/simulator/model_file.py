@@ -146,7 +146,7 @@ def locate(name: Path | str) -> Path:
     name, path = str(name), Path(name)
     if name in shipped():
         return MODELS / f"{name}.yaml"
-    if path.exists() or path.suffix or len(path.parts) > 1:
+    if files.exists(path) or path.suffix or len(path.parts) > 1:
         return path
     hint = did_you_mean(name, shipped())
     raise ModelFileError(f"{name}: no such file or model; {hint}name a file, or one of {', '.join(shipped())}")

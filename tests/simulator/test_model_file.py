@@ -155,3 +155,5 @@ def test_missing_file_and_unknown_name_are_named(tmp_path: Path) -> None:
         model_file.load(tmp_path / "absent.yaml")
     with pytest.raises(ModelFileError, match=r"no-dely: no such file or model; did you mean no-delay\?.* seed"):
         model_file.load("no-dely")
+    with pytest.raises(ModelFileError, match=r"é: no such file or model; name a file, or one of"):
+        model_file.load("é" * 300)  # longer than a file name may be

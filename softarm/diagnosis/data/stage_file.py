@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softarm.common import yaml_lines
+from softarm.common import files, yaml_lines
 from softarm.common.words import did_you_mean, nearest
 from softarm.common.yaml_lines import FileError
 from softarm.common.yaml_schema import fit
@@ -45,7 +45,7 @@ class Stage:
     def file(self, name: str, data: Path) -> Path:
         """Return the path of a file that the stage.yaml names, in its own folder or else in the data folder."""
         own = self.folder / name
-        return (own if own.exists() else data / name).resolve()
+        return (own if files.exists(own) else data / name).resolve()
 
 
 def is_stage(path: Path) -> bool:

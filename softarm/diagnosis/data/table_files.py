@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from softarm.common import files
 from softarm.common.quantity import factor
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data import bags, instants
@@ -49,7 +50,7 @@ class Table:
 
 def load(path: Path, form: TableForm) -> Table:
     """Read a table file; raise TrialError with file, row and next step if it is invalid."""
-    if not path.is_file():
+    if not files.exists(path) or not path.is_file():
         raise TrialError(f"{path}: does not exist; correct `files` in the stage.yaml, or name the data folder")
     suffix = path.suffix.lower()
     try:

@@ -11,6 +11,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from softarm.common.quantity import shown
 from softarm.training.learn import lstm
 
 CLIP = 5.0  # normalised inputs beyond this are cut, as the seed does
@@ -59,6 +60,7 @@ class RunningNormaliser(nn.Module):
 
 
 RecurrentState = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
+SIZE_MAX, LAYERS_MAX = 4096, 8  # a damaged checkpoint may state a network that no memory holds
 WIDE = 64  # inputs; narrower products gain nothing in bfloat16, and the first needs the precision
 Order = Literal["mlp-lstm", "lstm-mlp", "mlp"]
 
@@ -74,7 +76,13 @@ class NetworkShape:
     order: Order = "mlp-lstm"
 
     def __post_init__(self) -> None:
-        """Check the order. Raises ValueError if it is unknown."""
+        """Raise ValueError if the order is unknown or a size is out of range."""
+        sizes = (self.inputs, self.actions, *self.mlp, self.state)
+        if len(self.mlp) > LAYERS_MAX or not all(type(size) is int and 1 <= size <= SIZE_MAX for size in sizes):
+            raise ValueError(
+                f"network sizes are {shown(', '.join(map(str, sizes)))}; allowed are 1 to {SIZE_MAX} each, and "
+                f"{LAYERS_MAX} layers of `mlp`; give smaller ones"
+            )
         if self.order not in get_args(Order):
             raise ValueError(f"network.order is {self.order!r}; give one of {', '.join(get_args(Order))}")
 

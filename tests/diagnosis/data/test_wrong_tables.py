@@ -90,6 +90,7 @@ FILES = "{command: sent.csv, measured: seen.csv}"
         ("source: p", "source: 0", r"stage.yaml:6: channels.measured.columns.pressure.source: is 0; allowed"),
         ("source: p", "source: 3", r"seen.csv: no column 3; it has 2, counted from 1; correct `source`"),
         ("seen.csv", "gone.csv", r"gone.csv: does not exist; correct `files`"),
+        ("seen.csv", "g" * 300 + ".csv", r"ggg.csv: does not exist; correct `files`"),
         (FILES, "'runs/*.csv'", r"stage.yaml: trial one: files: no file matches .*runs/\*.csv; correct the pattern"),
         ("measured: seen.csv}", "measurd: seen.csv}", r"files: no channel measurd; did you mean measured\? the file"),
         (", measured: seen.csv", "", r"trial one: names no file for the measured channel; add it under `files`"),

@@ -51,6 +51,12 @@ def test_an_unknown_order_is_refused():
         NetworkShape(order="gru")
 
 
+@pytest.mark.parametrize("sizes", [{"inputs": 2**31}, {"state": 0}, {"mlp": (16, 5000)}, {"mlp": (1,) * 9}])
+def test_sizes_that_no_memory_holds_are_refused(sizes):
+    with pytest.raises(ValueError, match="allowed are 1 to 4096 each, and 8 layers"):
+        NetworkShape(**sizes)
+
+
 def test_observation_noise_affects_the_learner_alone(pool):
     seen = {}
     for noise in (0.0, 0.1):

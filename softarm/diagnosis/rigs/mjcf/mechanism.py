@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common import files
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
@@ -359,7 +360,7 @@ class Mechanism:
 
 def mechanism(path: Path) -> Mechanism:
     """Return the mechanism of a model file, loaded again only after a change of the file."""
-    return _mechanism(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _mechanism(path, path.stat().st_mtime_ns if files.exists(path) else 0)
 
 
 @lru_cache(maxsize=8)
@@ -376,7 +377,7 @@ def _mujoco(path: Path) -> Any:
 
 
 def _loaded(mujoco: Any, path: Path) -> Any:
-    if not path.is_file():
+    if not files.exists(path) or not path.is_file():
         raise TrialError(f"{path}: does not exist; write the path of the MJCF or URDF file under `model: mjcf`")
     try:
         return mujoco.MjModel.from_xml_path(str(path))
