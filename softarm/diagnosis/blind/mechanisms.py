@@ -39,9 +39,9 @@ def categories(count: int, random: np.random.Generator) -> list[str]:
     return [str(each) for each in random.permutation(found[:count])]
 
 
-def make(folder: Path, count: int, seed: int, workers: Workers | None = None) -> int:
-    """Record the cases that are missing, and return their number."""
-    kinds = categories(count, np.random.default_rng(seed))
+def make(folder: Path, count: int, seed: int, workers: Workers | None = None, category: str | None = None) -> int:
+    """Record the cases that are missing, all of one category if it is given, and return their number."""
+    kinds = [category] * count if category else categories(count, np.random.default_rng(seed))
     names = [f"mechanism-{seed}-{i:03d}" for i in range(count)]
     todo = {name: (i, name) for i, name in enumerate(names) if not (folder / "truths" / f"{name}.json").is_file()}
     work = Work(
@@ -128,12 +128,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--category", choices=tuple(SHARES), help="with make: cases of this category alone")
     add_workers(parser)
     given = parser.parse_args(arguments)
     workers = Workers(given.workers, given.ray)
     try:
         if given.verb == "make":
-            print(f"{make(given.folder, given.cases, given.seed, workers)} cases recorded in {given.folder}")
+            count = make(given.folder, given.cases, given.seed, workers, given.category)
+            print(f"{count} cases recorded in {given.folder}")
         elif given.verb == "run":
             run(given.folder, workers)
         else:

@@ -45,3 +45,11 @@ def test_the_right_joint_is_the_one_with_a_known_cause():
     assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["elbow.damping"])) is True
     assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["wrist.damping"], stage="wrist")) is False
     assert mechanisms.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None
+
+
+def test_all_cases_may_be_of_one_category(tmp_path, monkeypatch, capsys):
+    drawn = []
+    monkeypatch.setattr(mechanisms, "draw_and_write", lambda *case: drawn.append(case[1:]))
+    mechanisms.main(["make", str(tmp_path), "--cases", "3", "--seed", "5", "--category", "whole", "--workers", "1"])
+    assert drawn == [(f"mechanism-5-00{i}", 5, i, "whole") for i in range(3)]
+    assert "3 cases recorded" in capsys.readouterr().out
