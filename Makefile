@@ -71,7 +71,7 @@ coverage: .venv/.compiled
 docs: .venv/.installed-dev
 	$(BIN)/mkdocs build --quiet
 
-# The long evidence, about 80 minutes on two quiet cores. Every part runs although one fails, and prints its time;
+# The long evidence, about an hour on two quiet cores. Every part runs although one fails, and prints its time;
 # `make prove-fuzz` runs one part. docs/evidence/proof.md has the sizes for a release, which are stored.
 ADVERSARY_TICKS ?= 6000000
 MUTANTS ?= --sample 40

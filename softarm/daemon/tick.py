@@ -40,7 +40,7 @@ class Controller:
         self._policy = policy
         drive = config.drivers.rail
         self._observer = Observer(config)
-        self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
+        self._safety = SafetyFilter(config.limits, 1 / rate, drive.hold_s)
         self._following = Following(config.limits.rail.braking_law(drive.hold_s))
         waits_s = (config.failsafe.arming_timeout_s, BRAKING_S, SETTLING_S)
         self._machine = ModeMachine(*(round(each * rate) for each in waits_s))

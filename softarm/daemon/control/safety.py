@@ -22,21 +22,22 @@ class Filtered(NamedTuple):
 
 
 class SafetyFilter:
-    """Filter for position, velocity and acceleration of the cart and for pressure and slew of the muscle."""
+    """Filter for position and velocity of the cart and for pressure and slew of the muscle.
 
-    def __init__(self, limits: Limits, period_s: float, drive_ramp_m_s2: float, hold_s: float) -> None:
+    The cart's acceleration is the drive's ramp, which the configuration refuses above the limit.
+    """
+
+    def __init__(self, limits: Limits, period_s: float, hold_s: float) -> None:
         """Create a filter that has sent nothing yet.
 
         Args:
             limits: Limits of cart and muscle.
             period_s: Duration of a tick.
-            drive_ramp_m_s2: Acceleration ramp of the drive.
             hold_s: The rail's link brakes if no set-point arrives for this long.
         """
         self._rail = limits.rail
         self._pressure = limits.pressure
         self._period_s = period_s
-        self._slews = drive_ramp_m_s2 > limits.rail.acceleration_max_m_s2
         self._law = limits.rail.braking_law(hold_s)
         self.sent: deque[tuple[int, float]] = deque()  # time (ns) and velocity (m/s) that may still act
         self._remembered_ns = round((KNOWN_S + hold_s + self._law.latency_s) * 1e9)
@@ -93,14 +94,6 @@ class SafetyFilter:
         velocity = min(max(requested, -top), top)
         if velocity != requested:
             clamps.append("rail_velocity")
-        if self._slews:
-            step = self._rail.acceleration_max_m_s2 * self._period_s
-            before = self.sent[-1][1] if self.sent else 0.0
-            slewed = min(max(velocity, before - step), before + step)
-            if slewed != velocity:
-                clamps.append("rail_acceleration")
-            velocity = slewed
-        # Position comes last: braking for the end of the rail may need more than the slew allows.
         sent = [((t_ns - sent_ns) * 1e-9, each) for sent_ns, each in self.sent]
         velocity, at_max, at_min = self._law.bound(velocity, rail.position_m, rail.velocity_m_s, age_s, sent)
         if at_max:

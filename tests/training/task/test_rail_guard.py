@@ -27,7 +27,7 @@ def test_the_guard_sends_the_commands_of_the_daemons_filter(
     """Whatever the latency: the commands of as many ticks are remembered."""
     limits = RailLimits(latency_s=latency_s)
     guard = RailGuard(1, PERIOD_S, limits)
-    daemon = SafetyFilter(Limits(rail=limits), PERIOD_S, 6.0, DryveRail().hold_s)
+    daemon = SafetyFilter(Limits(rail=limits), PERIOD_S, DryveRail().hold_s)
     for tick, (wanted, position, velocity) in enumerate(steps):
         sent = guard.apply(*(np.array([x], dtype=np.float32) for x in (wanted, position, velocity)))
         t_ns = round(tick * 1e9 / 30)
