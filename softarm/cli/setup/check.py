@@ -44,6 +44,8 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, e
     from softarm.diagnosis.data.stage_file import is_stage
 
     if is_stage(file):
+        if folder or simulated or everything or as_json:
+            raise click.UsageError("--logs, --simulated, --all and --json are for a configuration; omit them here")
         check_stage(file, data)
         return
     if data is not None:

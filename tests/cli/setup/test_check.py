@@ -169,6 +169,13 @@ def test_check_reads_every_trial_of_a_stage_file_in_its_units(rig):
     assert result.stdout.endswith(f"{rig}: valid; 2 trials of chamber (tracking)\n")
 
 
+def test_an_option_for_a_configuration_is_refused_for_a_stage_file(rig, tmp_path):
+    for option in (["--all"], ["--json"], ["--simulated"], ["--logs", tmp_path]):
+        result = invoke("check", rig, *option)
+        assert result.exit_code == 2
+        assert "are for a configuration; omit them here" in result.stderr
+
+
 def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
     (tmp_path / "one.csv").write_text("t,u,p\n0,0,0\n")
     (tmp_path / "two.csv").write_text("t,u\n0,0\n")
