@@ -36,8 +36,10 @@ def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], mode
     for joint in joints:
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
         position_loop = joint.command_unit == joint.unit
-        command = _first(draft, signals, "command", (*_RATES, *_EFFORTS) if position_loop else _RATES)
-        measured = _first(draft, signals, "", (*_RATES, *_EFFORTS))
+        excluded = (*_RATES, *_EFFORTS) if position_loop else _RATES
+        commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
+        command = _first(draft, commands, excluded)
+        measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
         if measured is None:
             continue
         driven = bool(joint.actuator) and command is not None
@@ -51,14 +53,29 @@ def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], mode
         elif not joint.actuator:
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
     if "measured" not in found:
-        columns, names = (", ".join(x) for x in ([s.label for s in survey.signals], [j.name for j in joints]))
-        raise TrialError(
-            f"{model}: no column has the name of a driven or free joint; the model has {names}, the recordings have "
-            f"{columns}; rename the columns, or write the stage.yaml by hand (docs/gap/mujoco.md)"
-        )
+        raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
     why = f"{len(found['measured'])} joints of the model are measured"
     return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+
+
+def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured: Sequence[str]) -> TrialError:
+    """Return the error of recordings without a driven or free joint; measured: joints without a command."""
+    columns = ", ".join(s.label for s in survey.signals)
+    if measured:
+        actuators = ", ".join(f"{j.actuator} of {j.name}" for j in joints if j.name in measured)
+        problem = f"no column commands an actuator ({actuators})"
+    else:
+        problem = f"no column has the name of a driven or free joint; the model has {', '.join(j.name for j in joints)}"
+    return TrialError(
+        f"{model}: {problem}; the recordings have {columns}; rename the columns, or write the stage.yaml by hand "
+        "(docs/gap/mujoco.md)"
+    )
+
+
+def _is_command(signal: Signal, joint: ModelJoint) -> bool:
+    """Return whether a column has the name of a joint's actuator, which is not the joint's own."""
+    return _plain(signal.header.name) == _plain(joint.actuator) != _plain(joint.name)
 
 
 def _owner(signal: Signal, joints: Sequence[ModelJoint]) -> ModelJoint | None:
@@ -69,10 +86,9 @@ def _owner(signal: Signal, joints: Sequence[ModelJoint]) -> ModelJoint | None:
     return found[max(found)] if found else None
 
 
-def _first(draft: Draft, signals: Sequence[Signal], role: str, excluded: Sequence[str]) -> Signal | None:
-    """Return the shortest-named signal that is a command, or that is none, without those of some quantities."""
-    fitting = [s for s in signals if (draft.role(s) == "command") == (role == "command")]
-    fitting = [s for s in fitting if draft.standard(s) not in excluded]
+def _first(draft: Draft, signals: Sequence[Signal], excluded: Sequence[str]) -> Signal | None:
+    """Return the shortest-named signal, without those of some quantities."""
+    fitting = [s for s in signals if draft.standard(s) not in excluded]
     return min(fitting, key=lambda s: (len(s.label), s.label), default=None)
 
 

@@ -82,7 +82,21 @@ def test_columns_without_a_joints_name_are_an_error_with_both_lists(tmp_path, co
     result, stage = described(tmp_path, columns, [("t", "t_s", 1.0), ("q_pan", "alpha", 1.0), ("cmd_pan", "beta", 1.0)])
     assert result.exit_code == 1
     assert stage is None
-    assert "the model has track, pan, tilt, the recordings have" in result.output
+    assert "the model has track, pan, tilt; the recordings have" in result.output
+
+
+def test_a_column_with_the_name_of_an_actuator_is_its_command(tmp_path, columns):
+    names = [(old, new.replace("pan_goal", "pan_drive"), scale) for old, new, scale in USUAL]
+    _, stage = described(tmp_path, columns, names)
+    assert stage["channels"]["command"]["columns"]["pan_drive"]["source"] == "pan_drive"
+    assert stage["channels"]["measured"]["columns"]["pan"]["source"] == "pan"
+
+
+def test_measured_joints_without_any_command_are_an_error_that_names_their_actuators(tmp_path, columns):
+    result, stage = described(tmp_path, columns, [each for each in USUAL if "goal" not in each[1]])
+    assert result.exit_code == 1
+    assert stage is None
+    assert "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings" in result.output
 
 
 def test_two_models_are_refused(tmp_path):

@@ -1,12 +1,12 @@
 """Checks of a joint's recordings against its MuJoCo model before a fit: units, signs, gears and zeros."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.mjcf.mechanism import Joint
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
 
 # Degrees per radian, and the relative tolerance of a ratio that is taken for it.
 DEGREES, ALIKE = 180 / math.pi, 0.2
@@ -70,3 +70,17 @@ def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:
         yield f"{said}; their zeros differ: write `add` for the column, such as {middle:.3g}"
     else:
         yield f"{said}; correct the column's `unit`, or name another column"
+
+
+def assumptions(mechanism: Mechanism, joint: Joint, measured: Collection[str]) -> Iterator[str]:
+    """Yield a warning for each assumption about other joints; measured: names of the joints with a column."""
+    if still := mechanism.still(joint, measured):
+        yield (
+            f"{joint.name}: {', '.join(still)} carry it or are carried by it, are not measured and count as still; add "
+            "hinges and slides to `measured` or `base`, and fix a trunk while recording"
+        )
+    if tied := mechanism.tied(joint):
+        yield (
+            f"{joint.name}: the model ties it to {', '.join(tied)} (an equality), which is left out: neither that load "
+            "nor that motion is simulated"
+        )

@@ -1,7 +1,7 @@
 """Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -176,6 +176,27 @@ class Mechanism:
     def coupled(self, joint: Joint, names: Iterable[str]) -> frozenset[str]:
         """Return which of some other joints carry a joint or are carried by it."""
         return frozenset(n for n in names if n != joint.name and {*joint.bodies} & {*self.joint(n).bodies})
+
+    def still(self, joint: Joint, measured: Collection[str]) -> list[str]:
+        """Return the joints that carry a joint or are carried by it and count as still, free and ball joints included.
+
+        Args:
+            joint: the joint.
+            measured: names of the joints with a column.
+        """
+        m, carrying = self.model, {int(self.model.dof_bodyid[joint.dof])}
+        while (parent := int(m.body_parentid[min(carrying)])) > 0:
+            carrying.add(parent)
+        bodies = carrying | {*self._behind(joint.dof)}
+        names = [self._name("joint", i) for i in range(m.njnt) if int(m.jnt_bodyid[i]) in bodies]
+        return [name for name in names if name != joint.name and name not in measured]
+
+    def tied(self, joint: Joint) -> list[str]:
+        """Return the joints that an active equality `joint` of the model ties to a joint."""
+        m, own = self.model, int(self.model.dof_jntid[joint.dof])
+        ties = (i for i in range(m.neq) if m.eq_type[i] == int(self._mujoco.mjtEq.mjEQ_JOINT) and m.eq_active0[i])
+        pairs = [{int(m.eq_obj1id[i]), int(m.eq_obj2id[i])} for i in ties]
+        return [self._name("joint", i) for pair in pairs if own in pair for i in sorted(pair - {own, -1})]
 
     def last_link(self, joint: Joint) -> Link:
         """Return the link at the end of the mechanism behind a joint."""

@@ -6,7 +6,7 @@ import pytest
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.diagnose import view_of
-from softarm.diagnosis.rigs.mjcf.checks import mistakes
+from softarm.diagnosis.rigs.mjcf.checks import assumptions, mistakes
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
@@ -74,3 +74,21 @@ def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     found = list(mistakes(hip, "run.csv", np.cumsum(command) * 1e-3, 1.0 * command, needed))
     assert bool(found) == refused
+
+
+def test_joints_that_are_not_measured_and_joints_that_are_tied_are_stated(tmp_path, recorded):
+    """The tilt rides on the pan axis and on the vehicle, and turns a knob with it."""
+    trunk = '<body name="vehicle">', '<body name="ship"><freejoint name="root"/><geom size="0.1"/><body name="vehicle">'
+    assert not view(tmp_path, recorded, "camera", "tilt").warnings({})
+    text = ROBOTS["camera"].model.read_text().replace(*trunk).replace("</worldbody>", "</body></worldbody>", 1)
+    knob = '<body name="knob"><joint name="knob" axis="0 0 1"/><geom size="0.01"/></body></worldbody>'
+    tie = '</worldbody><equality><joint joint1="tilt" joint2="knob"/></equality>'
+    text = text.replace("</worldbody>", knob, 1).replace("</worldbody>", tie, 1)
+    (tmp_path / "tied.xml").write_text(text)
+    mechanism = Mechanism(tmp_path / "tied.xml")
+    tilt = mechanism.joint("tilt")
+    still, tied = assumptions(mechanism, tilt, ("pan", "tilt"))
+    assert still.startswith("tilt: root, track carry it or are carried by it, are not measured and count as still")
+    assert tied.startswith("tilt: the model ties it to knob (an equality), which is left out")
+    (other,) = assumptions(mechanism, mechanism.joint("knob"), ("pan", "tilt"))
+    assert other.startswith("knob: the model ties it to tilt")
