@@ -260,7 +260,7 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             tuple(strength(axis, "rad", 0.0, -0.3, 0.3, 0.05, f"about the model's {axis} axis") for axis in s.tilts),
             "the base is not level: gravity has another direction in the model's frame",
             "geometry of the rigid body: a spirit level",
-            plain="the base of {stage} is not level",
+            plain="the base that carries {stage} is not level",
         )
     own = s.joint.spring
     top, usual = max(3 * s.torque / s.travel, 3 * own), own + USUAL * s.usual / s.travel
