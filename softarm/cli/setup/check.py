@@ -113,13 +113,14 @@ def check_stage(file: Path, data: Path | None) -> None:
     rows = dict.fromkeys(row for trial in trials for row in _rows(trial))
     print_table(columns, [*rows], f"{file}: contents", width=140)
     stages = {trial.stage.name: trial.stage.kind for trial in trials if trial.stage is not None}
-    problems = []
+    problems, assumptions = list[str](), list[str]()
     for name in stages:
         try:
-            view_of([trial for trial in trials if trial.stage is not None and trial.stage.name == name])
+            view, _ = view_of([trial for trial in trials if trial.stage is not None and trial.stage.name == name])
+            assumptions += view.assumptions
         except TrialError as error:
             problems.append(str(error))
-    warnings = [*dict.fromkeys(text for trial in trials for text in trial.warnings)]
+    warnings = [*dict.fromkeys(text for trial in trials for text in trial.warnings), *assumptions]
     for text in warnings[:WARNINGS_MAX]:
         click.echo(f"warning: {text}", err=True)
     if len(warnings) > WARNINGS_MAX:

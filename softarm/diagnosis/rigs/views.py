@@ -67,6 +67,7 @@ class RigView:
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
         driven_by: stages whose measured motion loads this stage.
+        assumptions: warnings about the description, which hold before any fit.
         step_cost_s: processor time of a search per rollout and integration step, s; measured once.
     """
 
@@ -77,6 +78,7 @@ class RigView:
     step_cost_s = 0.07e-6
     curved: Mapping[str, Array] = {}
     driven_by: frozenset[str] = frozenset()
+    assumptions: tuple[str, ...] = ()
     _each = 1  # integration steps per sample
     _known: dict[str, float]
 

@@ -72,6 +72,16 @@ def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
     assert set(units.values()) == {"deg"}
 
 
+def test_a_joint_that_no_column_measures_is_stated_before_the_diagnosis(tmp_path, columns):
+    result, _ = described(tmp_path, columns, USUAL)
+    assert (
+        "warning: pan: no column measures track, which carry it or are carried by it: they count as still"
+        in result.output
+    )
+    result, _ = described(tmp_path, columns, [*USUAL, ("q_track", "track_m", 1.0)])
+    assert "they count as still" not in result.output
+
+
 def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_path, columns):
     _, stage = described(tmp_path, columns, [each for each in USUAL if each[1] != "tilt_goal"])
     assert list(stage["channels"]["base"]["columns"]) == ["tilt"]

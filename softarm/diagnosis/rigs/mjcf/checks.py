@@ -76,8 +76,8 @@ def assumptions(mechanism: Mechanism, joint: Joint, measured: Collection[str]) -
     """Yield a warning for each assumption about other joints; measured: names of the joints with a column."""
     if still := mechanism.still(joint, measured):
         yield (
-            f"{joint.name}: {', '.join(still)} carry it or are carried by it, are not measured and count as still; add "
-            "hinges and slides to `measured` or `base`, and fix a trunk while recording"
+            f"{joint.name}: no column measures {', '.join(still)}, which carry it or are carried by it: they count as "
+            "still; add hinges and slides to `measured` or `base`, and fix a trunk while recording"
         )
     if tied := mechanism.tied(joint):
         yield (

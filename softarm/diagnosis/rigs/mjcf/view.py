@@ -83,7 +83,7 @@ class JointView(RigView):
         self._torques = Torques(self._terms, self._motions)
         self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
         self._refuse_mistakes(trials)
-        self._assumed = tuple(checks.assumptions(self._mechanism, joint, self._around[0]))
+        self.assumptions = tuple(checks.assumptions(self._mechanism, joint, self._around[0]))
         self._scales = scales = self._measure(step)
         self._like_tilt = self._torques.like_tilt(scales.tilts, scales.follows)
         own = joint_effects(stage.name, scales)
@@ -298,7 +298,7 @@ class JointView(RigView):
 
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
-        zeros, found = self._zeros_apart(self._raw_gap(point)), [*self._assumed]
+        zeros, found = self._zeros_apart(self._raw_gap(point)), [*self.assumptions]
         if self._unsure > UNSURE_WARNED:
             done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
             found.append(
