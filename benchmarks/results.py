@@ -57,6 +57,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
     "card": (*_TRAINING, "softarm/common/braking.py", "benchmarks/card.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
+    "closing": (*_FLIGHTS, *_DIAGNOSIS, "softarm/reality", "softarm/training", "validation/closing.py"),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": (*_DIAGNOSIS, "softarm/reality"),
     "faults": (*_FLIGHTS, "softarm/reality"),

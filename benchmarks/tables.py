@@ -4,11 +4,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from softarm.evaluation import faults as worst
+from softarm.evaluation.closing.outcomes import TITLES
 from softarm.evaluation.entries import CEILING
 from softarm.evaluation.table import HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.training.trajectory import ceiling as needed
 
+NEAR = 0.03  # distance of a success to the level without the fault, at most, that counts as back
 _SPREAD = "{p50:.0f} / {p99:.0f} / {max:.0f}"
 Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.evaluation.table.Figure
@@ -363,6 +365,34 @@ def replanning(read: Read) -> str:
     return markdown(("flights", "reached", "wall time (ms)", "processor time (ms)", "rounds"), rows)
 
 
+def closing(read: Read) -> str:
+    """Each fault of the independent robot: share and stops of each way, and whether one returns to the level."""
+    found, rows = read("closing"), []
+    for case, summary in found["cases"].items():
+        ways = summary["ways"]
+        cells = [_way(ways[name]) if name in ways else "" for name in TITLES]
+        back = any(_reached(way) >= found["level"] - NEAR and not _stops(way) for way in ways.values())
+        seconds = sum(step["cpu_s"] for step in summary["spent"].values())
+        named = ", ".join(summary["effects"]) or summary["verdict"]
+        rows.append([f"`{case}`", named, *cells, "yes" if back else "no", summary["fly"], f"{seconds:.0f}"])
+    near = f"within {100 * NEAR:.0f} points of {100 * found['level']:.0f} %"
+    return markdown(("fault", "named", *TITLES.values(), near, "advice", "processor, s"), rows)
+
+
+def _way(way: Mapping[str, Any]) -> str:
+    stops = _stops(way)
+    return f"{100 * _reached(way):.0f} %{f', {stops} stops' if stops else ''}, {way['cpu_s']:.0f} s"
+
+
+def _reached(way: Mapping[str, Any]) -> float:
+    parts = (way["rest"], way["swinging"])
+    return float(sum(part["reached"] for part in parts) / sum(part["flights"] for part in parts))
+
+
+def _stops(way: Mapping[str, Any]) -> int:
+    return sum(sum(way[manner]["stops"].values()) for manner in ("rest", "swinging"))
+
+
 def blind(read: Read) -> str:
     """Return the rates of the blind benchmark next to the targets."""
     found = read("blind")["methods"]["diagnose"]
@@ -435,6 +465,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "limits": rail_limits,
     "simulator": simulator,
     "card": card,
+    "closing": closing,
     "needs": needs,
     "planning": planning,
     "replanning": replanning,

@@ -9,19 +9,16 @@ with finished results in --out is not repeated. Needs the extras `mujoco`, `trai
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
 from benchmarks import results
-from benchmarks.tables import markdown
 from softarm.common import files
 from softarm.common.processes import bar
 from softarm.diagnosis.blind.cases import PROGRAMME
 from softarm.evaluation.closing.fly import fly
-from softarm.evaluation.closing.outcomes import TITLES
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
@@ -47,7 +44,6 @@ SINGLE = (
 PAIRS = tuple(zip(SINGLE[:5], SINGLE[5:], strict=True))
 CASES = (*((fault,) for fault in SINGLE), *PAIRS)
 LEVEL_FLIGHTS = 324
-NEAR = 0.03  # of the level without the fault
 
 
 def record_campaign(folder: Path, robot: RobotParameters) -> None:
@@ -90,35 +86,6 @@ def closed(case: tuple[str, ...], policy: str, seconds: float, out: Path) -> dic
     return {key: found[key] for key in ("verdict", "effects", "ways", "fly", "spent")}
 
 
-def table(level: float, found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the table of all cases: share and stops of each way, and whether one returns to the level."""
-    rows = []
-    for case, summary in found.items():
-        ways = summary["ways"]
-        cells = [_cell(ways[name]) if name in ways else "" for name in TITLES]
-        back = any(_share(way) >= level - NEAR and not _stops(way) for name, way in ways.items() if name != "old")
-        seconds = sum(step["cpu_s"] for step in summary["spent"].values())
-        named = ", ".join(summary["effects"]) or summary["verdict"]
-        rows.append([f"`{case}`", named, *cells, "yes" if back else "no", summary["fly"], f"{seconds:.0f}"])
-    head = ("fault", "named", *TITLES.values(), f"within 3 points of {100 * level:.0f} %", "advice", "processor, s")
-    return markdown(head, rows)
-
-
-def _cell(way: Mapping[str, Any]) -> str:
-    stops = _stops(way)
-    return f"{100 * _share(way):.0f} %{f', {stops} stops' if stops else ''}, {way['cpu_s']:.0f} s"
-
-
-def _share(way: Mapping[str, Any]) -> float:
-    parts = (way["rest"], way["swinging"])
-    share: float = sum(part["reached"] for part in parts) / sum(part["flights"] for part in parts)
-    return share
-
-
-def _stops(way: Mapping[str, Any]) -> int:
-    return sum(sum(way[manner]["stops"].values()) for manner in ("rest", "swinging"))
-
-
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="runs/closing", show_default=True)
 @click.option("--policy", default="reach", show_default=True, help="The old policy, a shipped name.")
@@ -140,7 +107,7 @@ def main(out: Path, policy: str, seconds: float, cases: int, json_file: Path | N
             found["+".join(case)] = closed(case, policy, seconds, out)
             results.write(json_file, {"level": level, "cases": found})
             shown.advance(1, "+".join(case))
-    click.echo(table(level, found))
+    results.report("closing", {"level": level, "cases": found}, json_file)
 
 
 if __name__ == "__main__":
