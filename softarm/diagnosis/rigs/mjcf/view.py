@@ -85,8 +85,9 @@ class JointView(RigView):
         self._refuse_mistakes(trials)
         self.assumptions = tuple(checks.assumptions(self._mechanism, joint, self._around[0]))
         self._scales = scales = self._measure(step)
-        self._like_tilt = self._torques.like_tilt(scales.tilts, scales.follows)
         own = joint_effects(stage.name, scales)
+        like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
+        self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
         self._known = neutral_values(own) | self._nominal() | given
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
@@ -252,8 +253,8 @@ class JointView(RigView):
     @property
     def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
         """Effect -> effects that no recording of such a stage can separate from it."""
-        like, known = f"{self.stage}.{self._like_tilt}", {effect.name for effect in self.effects}
-        return {**super().indistinguishable, **({like: (f"{self.stage}.tilt",)} if like in known else {})}
+        like_tilt = {self._like_tilt: (f"{self.stage}.tilt",)} if self._like_tilt else {}
+        return {**super().indistinguishable, **like_tilt}
 
     def _command_rate(self) -> float:
         if not self._inputs:

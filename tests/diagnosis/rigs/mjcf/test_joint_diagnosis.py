@@ -175,6 +175,7 @@ def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path)
         same = {name for names in view.indistinguishable.values() for name in names}
         candidate = f"{joint}.tilt" in {each.name for each in candidates(view)}
         assert candidate != (f"{joint}.tilt" in same)
+        assert candidate == ("tilt.y" in view.tolerances)
     assert view.value({}, "tilt.y") == 0.0
 
 
