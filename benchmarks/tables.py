@@ -366,22 +366,20 @@ def replanning(read: Read) -> str:
 
 
 def closing(read: Read) -> str:
-    """Each fault of the independent robot: share and stops of each way, and whether one returns to the level."""
+    """Each fault of the independent robot: percent and stops of each way, and whether one returns to the level."""
     found, rows = read("closing"), []
     for case, summary in found["cases"].items():
         ways = summary["ways"]
         cells = [_way(ways[name]) if name in ways else "" for name in TITLES]
         back = any(_reached(way) >= found["level"] - NEAR and not _stops(way) for way in ways.values())
-        seconds = sum(step["cpu_s"] for step in summary["spent"].values())
-        named = ", ".join(summary["effects"]) or summary["verdict"]
-        rows.append([f"`{case}`", named, *cells, "yes" if back else "no", summary["fly"], f"{seconds:.0f}"])
-    near = f"within {100 * NEAR:.0f} points of {100 * found['level']:.0f} %"
-    return markdown(("fault", "named", *TITLES.values(), near, "advice", "processor, s"), rows)
+        rows.append([f"`{case}`", *cells, "yes" if back else "no", summary["fly"]])
+    near = f"within {100 * NEAR:.0f} of {100 * found['level']:.0f}"
+    return markdown(("fault", *TITLES.values(), near, "advice"), rows)
 
 
 def _way(way: Mapping[str, Any]) -> str:
     stops = _stops(way)
-    return f"{100 * _reached(way):.0f} %{f', {stops} stops' if stops else ''}, {way['cpu_s']:.0f} s"
+    return f"{100 * _reached(way):.0f}{f', {stops} stops' if stops else ''}"
 
 
 def _reached(way: Mapping[str, Any]) -> float:
