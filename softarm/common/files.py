@@ -26,6 +26,11 @@ def exists(path: Path | str) -> bool:
     return os.path.exists(path)
 
 
+def is_file(path: Path | str) -> bool:
+    """Return whether a path is a file; a name that no file system can hold is none."""
+    return os.path.isfile(path)
+
+
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, or of all files in a folder; the name of the path itself does not count."""
     if not path.is_dir():

@@ -13,6 +13,7 @@ import numpy as np
 import onnxruntime as ort
 from pydantic import ValidationError
 
+from softarm.common import files
 from softarm.policies import onnx_graph
 from softarm.policies.base import MODELS, Array, PolicyError, PolicySpec
 from softarm.schemas.policy import (
@@ -142,7 +143,7 @@ def _with_shelf(file: _File, target_depth_m: float) -> PolicySpec:
 def _path(model: str) -> Path:
     """Return the path of a model: `model` itself if it ends in .onnx, else the shipped model of that name."""
     path = Path(model).expanduser() if model.endswith(".onnx") else MODELS / f"{model}.onnx"
-    if path.is_file():
+    if files.is_file(path):
         return path.absolute()
     shipped = ", ".join(sorted(file.stem for file in MODELS.glob("*.onnx"))) or "none"
     raise PolicyError(

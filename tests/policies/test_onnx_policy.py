@@ -192,3 +192,8 @@ def test_a_reaching_policy_ignores_the_depth():
     deep.target_depth_m = 0.3
     observation, goal = np.zeros(8, np.float32), np.array((-0.2, 0.6), np.float32)
     assert (plain.step(observation, goal) == deep.step(observation, goal)).all()
+
+
+def test_a_name_that_no_file_system_holds_is_refused():
+    with pytest.raises(PolicyError, match=r"give a path that ends in \.onnx"):
+        OnnxPolicy("x" * 300 + ".onnx")

@@ -50,7 +50,7 @@ class Table:
 
 def load(path: Path, form: TableForm) -> Table:
     """Read a table file; raise TrialError with file, row and next step if it is invalid."""
-    if not files.exists(path) or not path.is_file():
+    if not files.is_file(path):
         raise TrialError(f"{path}: does not exist; correct `files` in the stage.yaml, or name the data folder")
     suffix = path.suffix.lower()
     try:

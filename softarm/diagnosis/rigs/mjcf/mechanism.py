@@ -184,11 +184,8 @@ class Mechanism:
             joint: the joint.
             measured: names of the joints with a column.
         """
-        m, carrying = self.model, {int(self.model.dof_bodyid[joint.dof])}
-        while (parent := int(m.body_parentid[min(carrying)])) > 0:
-            carrying.add(parent)
-        bodies = carrying | {*self._behind(joint.dof)}
-        names = [self._name("joint", i) for i in range(m.njnt) if int(m.jnt_bodyid[i]) in bodies]
+        own, dofs = {*self._behind(joint.dof)}, map(int, self.model.jnt_dofadr)
+        names = [self._name("joint", i) for i, dof in enumerate(dofs) if own & {*self._behind(dof)}]
         return [name for name in names if name != joint.name and name not in measured]
 
     def tied(self, joint: Joint) -> list[str]:
@@ -381,7 +378,7 @@ class Mechanism:
 
 def mechanism(path: Path) -> Mechanism:
     """Return the mechanism of a model file, loaded again only after a change of the file."""
-    return _mechanism(path, path.stat().st_mtime_ns if files.exists(path) else 0)
+    return _mechanism(path, path.stat().st_mtime_ns if files.is_file(path) else 0)
 
 
 @lru_cache(maxsize=8)
@@ -398,7 +395,7 @@ def _mujoco(path: Path) -> Any:
 
 
 def _loaded(mujoco: Any, path: Path) -> Any:
-    if not files.exists(path) or not path.is_file():
+    if not files.is_file(path):
         raise TrialError(f"{path}: does not exist; write the path of the MJCF or URDF file under `model: mjcf`")
     try:
         return mujoco.MjModel.from_xml_path(str(path))

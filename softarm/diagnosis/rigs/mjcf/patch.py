@@ -74,9 +74,10 @@ def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None
         mass, *at = np.mean(loads, axis=0)
         if not edits.add_point_mass(body, float(mass), at):
             left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
-    gravity = " ".join(map(_short, _tilted(model, tilts)))
-    if tilts and not edits.set_option("gravity", gravity):
-        left_out.append(f"gravity of {gravity} m/s^2")
+    if tilts:
+        gravity = " ".join(map(_short, _tilted(model, tilts)))
+        if not edits.set_option("gravity", gravity):
+            left_out.append(f"gravity of {gravity} m/s^2")
     after = edits.text
     lines = difflib.unified_diff(
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
@@ -111,8 +112,6 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
 def _tilted(model: Mechanism, tilts: Mapping[str, Sequence[float]]) -> Array:
     """Return gravity in the frame of a tilted base, m/s^2, [3]; tilts: the angles about each axis, rad."""
     gravity: Array = np.array(model.model.opt.gravity)
-    if not tilts:
-        return gravity
     tilted = gravity + sum(float(np.mean(angles)) * model.level_axes[axis] for axis, angles in tilts.items())
     return np.asarray(tilted * np.linalg.norm(gravity) / np.linalg.norm(tilted))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.slopes import Slopes
@@ -42,9 +43,10 @@ class Torques:
         """
         falls = np.concatenate([terms.base[laws.BY_POSITION] for terms in self.terms])
         constant = "command_bias" if follows else "torque_offset"
-        tilted = [self.tilted()[axis] for axis in axes]
+        tilted = self.tilted()
         for name, other in (("sensor_bias", falls), (constant, np.ones_like(falls))):
-            if tilted and all(rms(_without(each, other)) < TILT_SHARE * rms(each) for each in tilted):
+            alike = [rms(_without(tilted[axis], other)) < TILT_SHARE * rms(tilted[axis]) for axis in axes]
+            if alike and all(alike):
                 return name
         return ""
 
@@ -58,11 +60,6 @@ def load(terms: Array, motion: Motion) -> Array:
 def torque(terms: Array, motion: Motion) -> Array:
     """Return the torque that a measured motion needs without friction, [T]; terms: [ROWS, T]."""
     return np.asarray(load(terms, motion) + terms[laws.INERTIA] * motion.acceleration)
-
-
-def rms(values: Array) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _without(values: Array, other: Array) -> Array:

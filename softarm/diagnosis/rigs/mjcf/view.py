@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
@@ -16,7 +17,7 @@ from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
 from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, load, rms, torque
+from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
 from softarm.diagnosis.rigs.motion import (
     SLOW,
     STILL,
