@@ -1,7 +1,6 @@
 """Tests of `softarm rail`."""
 
 import fcntl
-import functools
 import math
 import os
 import signal
@@ -20,6 +19,7 @@ from softarm.daemon.api.status import Ages
 from softarm.daemon.control.records import ActiveEvent, Mode, Observed
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning import session
+from softarm.drivers.rail.settings import Settings
 from softarm.schemas.policy import Observation
 from tests.cli.invoke import invoke
 from tests.drivers.rail.commissioning.conftest import TwinWorld
@@ -74,7 +74,13 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, served: Any) -> Itera
     bench = Bench(tmp_path)
     with served(bench.server):
         bench.configure()
-        timed = functools.partial(session.DriveSession, clock=bench.clock, pause=lambda seconds: bench.pause(seconds))
+        original = session.DriveSession
+
+        def timed(settings: Settings, **how: Any) -> session.DriveSession:
+            # The drive answers by a thread of this process, which a loaded computer may delay by more than 0.14 s.
+            slow = settings._replace(timeout_s=20.0)
+            return original(slow, clock=bench.clock, pause=lambda seconds: bench.pause(seconds), **how)
+
         monkeypatch.setattr(session, "DriveSession", timed)
         yield bench
 
