@@ -3,19 +3,29 @@
 The rigid-body terms come from MuJoCo (`rigs/mjcf/mechanism.py`). A step is MuJoCo's semi-implicit Euler step with
 implicit damping, so that a fitted value means the same in the model file. Dry friction holds a joint at rest, as real
 friction does; MuJoCo's regularised friction lets it creep (its documentation, Computation: Constraint model).
+
+Several windows and points of a fit are simulated at once, each in one lane of a SIMD register.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
+import functools
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.simulator import simd
 from softarm.simulator.compiled import compiler
+from softarm.simulator.simd import fill, load, magnitude, root, select, some, store
 
-compiled = compiler(Path(__file__))
+Floats = NDArray[np.float64]
+
+compiled = compiler(Path(__file__), Path(simd.__file__))
+# Functions of vectors become part of their caller.
+inlined = functools.partial(compiled, forceinline=True)
 
 # Columns of a law's parameters. Actuator: torque = clip(drive - KP x - KD v, LOW, HIGH), where errors of the position
 # below WIDTH make no torque.
@@ -35,18 +45,76 @@ INERTIA, LOAD, BY_POSITION, BY_SPEED = range(4)
 ROWS = 4
 # Residual of a simulation that diverged.
 FAR = 1e3
+# Lanes of a register.
+LANES = (0.0,) * 8
 
 
 class Windows(NamedTuple):
-    """Measured windows of one trial with T samples in W windows."""
+    """Measured windows of all trials, with M samples in W windows."""
 
-    seen: NDArray[np.float64]  # [T] measured position; NaN where no sample was measured
+    seen: Floats  # [M] measured position; NaN where no sample was measured
     edges: NDArray[np.int64]  # [W + 1] first samples of the windows, and the end
-    starts: NDArray[np.float64]  # [W, 2] position and speed at the starts
-    sides: NDArray[np.float64]  # [W] sign of the last motion before the start
+    starts: Floats  # [W, 2] position and speed at the starts
+    sides: Floats  # [W] place within the play, and bend of the friction, at the starts, -1 to 1
+    step_s: Floats  # [W] sampling intervals
 
 
-@compiled
+class Inputs(NamedTuple):
+    """Distinct inputs of P points, and the one of each point."""
+
+    drives: Floats  # [D, M each] drives of the actuator at each integration step
+    drive_of: NDArray[np.int64]  # [P]
+    paths: Floats  # [B, ROWS, M] rigid-body terms at each sample
+    path_of: NDArray[np.int64]  # [P]
+
+    @classmethod
+    def of(cls, drives: Sequence[Floats], paths: Sequence[Floats]) -> Self:
+        """Return the inputs of P points, [M each] and [ROWS, M] of each; points may share an array."""
+        return cls(*_distinct(drives), *_distinct(paths))
+
+
+def _distinct(arrays: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the arrays without repeated objects, stacked, and the index of each one among them."""
+    first = {id(array): array for array in arrays}
+    places = {key: place for place, key in enumerate(first)}
+    return np.stack([*first.values()]), np.array([places[id(array)] for array in arrays])
+
+
+def residuals(windows: Windows, inputs: Inputs, laws: Floats, each: int) -> Floats:
+    """Simulate every window from its guessed start; return measured minus predicted values at P points, [P, M].
+
+    Args:
+        windows: measured windows.
+        inputs: drives and rigid-body terms of the points.
+        laws: parameters of each point by the columns above, [P, COLUMNS].
+        each: integration steps per sample.
+    """
+    out = np.empty((len(laws), len(windows.seen)))
+    longest_first = np.argsort(-np.diff(windows.edges), kind="stable")
+    _residuals(windows, longest_first, inputs, laws, each, LANES, out)
+    return out
+
+
+@inlined
+def clip(x, low, high):
+    """Bring x between two bounds; NaN stays NaN."""
+    x = select(x < low, low, x)
+    return select(x > high, high, x)
+
+
+@inlined
+def faded(x):
+    """Return exp(-x) for x >= 0, to 1e-12: the 64th power of a series of x / 64."""
+    y = 0.015625 * x
+    grown = 1 / 720 + y * (1 / 5040 + y * (1 / 40320))
+    grown = 1.0 + y * (1.0 + y * (1 / 2 + y * (1 / 6 + y * (1 / 24 + y * (1 / 120 + y * grown)))))
+    fade = 1.0 / grown
+    for _ in range(6):
+        fade = fade * fade
+    return fade
+
+
+@inlined
 def slide(v, bend, net, resists, inertia, dry, give, h):
     """Return speed and bend of the friction after a step of h seconds.
 
@@ -60,99 +128,138 @@ def slide(v, bend, net, resists, inertia, dry, give, h):
         give: travel over which it builds up (elastoplastic, a Prandtl element); 0 for rigid friction.
         h: integration step, s.
     """
-    if give <= 0.0 or dry <= 0.0:
-        return v + h * (net + min(max(-(v * resists / h + net), -dry), dry)) / resists, bend  # up to what stops it
-    stiff = dry / give
-    grip = GRIP * math.sqrt(stiff * inertia) * max(1.0 - (bend if v > 0.0 else -bend), 0.0)
+    per_torque = h / resists
+    rigid = v + per_torque * net
+    # Up to what stops it.
+    rigid = rigid - clip(rigid, 0.0 - per_torque * dry, per_torque * dry)
+    elastic = select(dry > 0.0, give, 0.0)
+    if not some(elastic > 0.0):
+        return rigid, bend
+    bends = elastic > 0.0
+    per_travel = 1.0 / select(bends, give, 1.0)
+    stiff = dry * per_travel
+    facing = select(v > 0.0, bend, 0.0 - bend)
+    grip = GRIP * root(stiff * inertia) * select(facing < 1.0, 1.0 - facing, 0.0)
     bent = (resists * v + h * (net - dry * bend)) / (resists + h * (h * stiff + grip))
-    after = bend + h * bent / give
-    if abs(after) <= 1.0:
-        return bent, after
-    after = 1.0 if after > 0.0 else -1.0
-    return v + h * (net - dry * after) / resists, after
+    after = bend + h * per_travel * bent
+    slips = magnitude(after) > 1.0
+    end = select(after > 0.0, fill(v, 1.0), -1.0)
+    slid = v + per_torque * (net - dry * end)
+    return select(bends, select(slips, slid, bent), rigid), select(bends, select(slips, end, after), bend)
 
 
 @compiled
-def travel(start, side, drive, path, law, step_s, each, out):
-    """Simulate a joint from a start; write the measured value at each sample to out [T], and return its play's side.
+def _residuals(windows, order, inputs, laws, each, lanes, out):
+    """Write the residuals of all windows and points to out [P, M]; order: windows by length.
+
+    A lane simulates one window at one point.
+    """
+    width, jobs = len(lanes), len(order) * len(laws)
+    law, terms, more = np.empty(COLUMNS * width), np.empty(ROWS * width), np.empty(ROWS * width)
+    driven, start, now = np.empty(each * width), np.empty(4 * width), np.empty(width)
+    window, point = np.empty(width, np.int64), np.empty(width, np.int64)
+    for first in range(0, jobs, width):
+        longest = 0
+        for lane in range(width):
+            job = min(first + lane, jobs - 1)
+            w, p = order[job // len(laws)], job % len(laws)
+            window[lane], point[lane] = w, p
+            longest = max(longest, windows.edges[w + 1] - windows.edges[w])
+            for column in range(COLUMNS):
+                law[column * width + lane] = laws[p, column]
+            start[lane], start[width + lane] = windows.starts[w, 0], windows.starts[w, 1]
+            start[2 * width + lane], start[3 * width + lane] = windows.sides[w], windows.step_s[w] / each
+        seen, v, bend, h = load(start, 0, lanes), load(start, 1, lanes), load(start, 2, lanes), load(start, 3, lanes)
+        x = seen + 0.5 * bend * load(law, GAP, lanes)
+        for k in range(longest):
+            store(now, 0, lanes, seen)
+            for lane in range(width):
+                i = windows.edges[window[lane]] + k
+                last = windows.edges[window[lane] + 1] - 1
+                if i <= last:
+                    there = now[lane] if abs(now[lane]) < FAR else FAR
+                    out[point[lane], i] = windows.seen[i] - there
+                if i >= last:
+                    continue
+                path, drive = inputs.path_of[point[lane]], inputs.drive_of[point[lane]]
+                for row in range(ROWS):
+                    begin = inputs.paths[path, row, i]
+                    terms[row * width + lane] = begin
+                    more[row * width + lane] = (inputs.paths[path, row, i + 1] - begin) / each
+                for j in range(each):
+                    driven[j * width + lane] = inputs.drives[drive, i * each + j]
+            if k < longest - 1:
+                x, seen, v, bend = _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes)
+
+
+@inlined
+def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
+    """Return position, measured position, speed and bend of the friction one sample later.
 
     Args:
-        start: position and speed, [2].
-        side: place within the play, and bend of the friction, -1 to 1.
-        drive: drive of the actuator at each integration step, [T each].
-        path: rigid-body terms at each sample, [ROWS, T].
-        law: parameters by the columns above.
-        step_s: sampling interval.
-        each: integration steps per sample.
+        x: position.
+        seen: measured position, behind the play.
+        v: speed.
+        bend: bend of the friction.
+        driven: drive at each integration step, rows of lanes.
+        terms: rigid-body terms at the sample, rows of lanes.
+        more: their changes in each integration step.
+        law: parameters, rows of lanes.
+        h: integration step, s.
+        each: integration steps.
+        lanes: width of a row.
     """
-    h, size, half = step_s / each, len(out), 0.5 * law[GAP]
-    kp, kd, low, high, width = law[KP], law[KD], law[LOW], law[HIGH], law[KP] * law[WIDTH]
-    viscous, drag, spring, offset = law[VISCOUS], law[DRAG], law[SPRING], law[OFFSET] + law[SPRING] * law[REST]
-    seen, v = start[0], start[1]
-    x, bend = seen + side * half, side
-    for i in range(size):
-        out[i] = seen
-        last = min(i + 1, path.shape[1] - 1)
-        inertia, load = path[INERTIA, i] + law[ARMATURE], path[LOAD, i]
-        slope, turning = path[BY_POSITION, i], path[BY_SPEED, i]
-        inertia_more, load_more = (path[INERTIA, last] - path[INERTIA, i]) / each, (path[LOAD, last] - load) / each
-        slope_more, turning_more = (path[BY_POSITION, last] - slope) / each, (path[BY_SPEED, last] - turning) / each
-        for j in range(each):
-            true = x - law[BIAS]
-            torque = drive[i * each + j] - kp * x
-            torque -= min(max(torque, -width), width)
-            torque -= kd * v
-            damping = viscous + 2.0 * drag * abs(v) + turning + kd
-            if torque < low or torque > high:
-                torque = min(max(torque, low), high)
-                damping -= kd
-            net = torque + offset - load - (slope + spring) * true - (turning + viscous + drag * abs(v)) * v
-            dry = law[DRY] + law[LOADED] * abs(torque)
-            if law[STICTION] > 0.0:
-                dry += law[STICTION] * math.exp(-((v / law[SPEED]) ** 2))
-            resists = max(inertia + h * damping, 0.1 * inertia)
-            v, bend = slide(v, bend, net, resists, inertia, dry, law[GIVE], h)
-            x += h * v
-            seen = min(max(seen, x - half), x + half)
-            inertia += inertia_more
-            load += load_more
-            slope += slope_more
-            turning += turning_more
-    return (x - seen) / half if half > 0.0 else 0.0
-
-
-@compiled
-def residuals(windows, drive, path, law, step_s, each, out):
-    """Simulate every window from its guessed start and write measured minus predicted values to out [T].
-
-    Other arguments are those of `travel`, for all windows.
-    """
-    for w in range(len(windows.edges) - 1):
-        a, b = windows.edges[w], windows.edges[w + 1]
-        driven, terms = drive[a * each : b * each], path[:, a : min(b + 1, path.shape[1])]
-        travel(windows.starts[w], windows.sides[w], driven, terms, law, step_s, each, out[a:b])
-        for i in range(a, b):
-            out[i] = windows.seen[i] - (out[i] if abs(out[i]) < FAR else FAR)
+    kp, kd, low, high = load(law, KP, lanes), load(law, KD, lanes), load(law, LOW, lanes), load(law, HIGH, lanes)
+    viscous, drag, dead = load(law, VISCOUS, lanes), load(law, DRAG, lanes), kp * load(law, WIDTH, lanes)
+    spring, bias, half = load(law, SPRING, lanes), load(law, BIAS, lanes), 0.5 * load(law, GAP, lanes)
+    offset = load(law, OFFSET, lanes) + spring * load(law, REST, lanes)
+    stiction = load(law, STICTION, lanes)
+    sticks = some(stiction > 0.0)
+    per_speed = 1.0 / select(stiction > 0.0, load(law, SPEED, lanes), 1.0)
+    inertia, weight = load(terms, INERTIA, lanes) + load(law, ARMATURE, lanes), load(terms, LOAD, lanes)
+    slope, turning = load(terms, BY_POSITION, lanes), load(terms, BY_SPEED, lanes)
+    for j in range(each):
+        torque = load(driven, j, lanes) - kp * x
+        torque = torque - clip(torque, 0.0 - dead, dead) - kd * v
+        limited = clip(torque, low, high)
+        rubbing = turning + viscous + drag * magnitude(v)
+        damping = rubbing + drag * magnitude(v) + select(limited != torque, 0.0, kd)
+        net = limited + offset - weight - (slope + spring) * (x - bias) - rubbing * v
+        dry = load(law, DRY, lanes) + load(law, LOADED, lanes) * magnitude(limited)
+        if sticks:
+            ratio = v * per_speed
+            dry = dry + stiction * faded(ratio * ratio)
+        resists = inertia + h * damping
+        resists = select(resists > 0.1 * inertia, resists, 0.1 * inertia)
+        v, bend = slide(v, bend, net, resists, inertia, dry, load(law, GIVE, lanes), h)
+        x = x + h * v
+        seen = clip(seen, x - half, x + half)
+        inertia = inertia + load(more, INERTIA, lanes)
+        weight = weight + load(more, LOAD, lanes)
+        slope = slope + load(more, BY_POSITION, lanes)
+        turning = turning + load(more, BY_SPEED, lanes)
+    return x, seen, v, bend
 
 
 @compiled
 def free_starts(left, edges, directions, solve):
-    """Remove from values left [T] what a change of each window's start explains; NaN stays.
+    """Remove from values left [P, M] what a change of each window's start explains; NaN stays.
 
     Args:
         left: values, changed in place.
         edges: first samples of the windows, and the end [W + 1].
-        directions: change of the values with position and speed at their window's start, [2, T].
-        solve: least-squares fit of that change to the values, [2, T].
+        directions: change of the values with position and speed at their window's start, [2, M].
+        solve: least-squares fit of that change to the values, [2, M].
     """
-    for w in range(len(edges) - 1):
-        first = second = 0.0
-        for i in range(edges[w], edges[w + 1]):
-            if not math.isnan(left[i]):
-                first += solve[0, i] * left[i]
-                second += solve[1, i] * left[i]
-        for i in range(edges[w], edges[w + 1]):
-            left[i] -= first * directions[0, i] + second * directions[1, i]
+    for p in range(len(left)):
+        for w in range(len(edges) - 1):
+            first = second = 0.0
+            for i in range(edges[w], edges[w + 1]):
+                if not math.isnan(left[p, i]):
+                    first += solve[0, i] * left[p, i]
+                    second += solve[1, i] * left[p, i]
+            for i in range(edges[w], edges[w + 1]):
+                left[p, i] -= first * directions[0, i] + second * directions[1, i]
 
 
 @compiled

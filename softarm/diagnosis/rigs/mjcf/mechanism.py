@@ -147,20 +147,29 @@ class Mechanism:
             qpos[:, other.position], qvel[:, other.dof], qacc[:, other.dof] = position, speed, acceleration
         qacc[:, dof] = 0.0
 
-        def needed(k: int, position: float = 0.0, speed: float = 0.0, acceleration: float = 0.0) -> float:
-            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
-            data.qpos[at] += position
-            data.qvel[dof] += speed
-            data.qacc[dof] += acceleration
-            mujoco.mj_inverse(model, data)
-            return float(data.qfrc_inverse[dof])
+        q, v, a, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
 
+        def needed(known: int) -> float:
+            mujoco.mj_inverseSkip(model, data, known, 1)
+            return float(forces[dof])
+
+        unknown, same_position, same_speed = (
+            int(getattr(mujoco.mjtStage, f"mjSTAGE_{name}")) for name in ("NONE", "POS", "VEL")
+        )
         found = np.empty((law.ROWS, size))
         for k in range(size):
-            load = needed(k)
-            inertia = needed(k, acceleration=1.0) - load
-            by_position = (needed(k, position=NUDGE) - needed(k, position=-NUDGE)) / (2 * NUDGE)
-            by_speed = (needed(k, speed=NUDGE_SPEED) - load) / NUDGE_SPEED
+            q[:], v[:], a[:] = qpos[k], qvel[k], qacc[k]
+            load = needed(unknown)
+            a[dof] = 1.0
+            inertia = needed(same_speed) - load
+            a[dof] = 0.0
+            v[dof] += NUDGE_SPEED
+            by_speed = (needed(same_position) - load) / NUDGE_SPEED
+            v[dof] = qvel[k, dof]
+            q[at] += NUDGE
+            above = needed(unknown)
+            q[at] -= 2 * NUDGE
+            by_position = (above - needed(unknown)) / (2 * NUDGE)
             zero = load - by_position * qpos[k, at] - by_speed * qvel[k, dof]
             found[:, k] = inertia, zero, by_position, by_speed
         return found

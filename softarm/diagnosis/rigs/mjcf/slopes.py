@@ -21,7 +21,7 @@ class BodyChange(NamedTuple):
     payload_kg: float
     payload_m: float  # distance from the last joint
     length_share: float
-    tilts_rad: Mapping[str, float] = {}  # by axis
+    tilts_rad: tuple[tuple[str, float], ...] = ()  # axis, angle
 
 
 class Slopes(NamedTuple):
@@ -36,14 +36,16 @@ class Slopes(NamedTuple):
 
     def at(self, change: BodyChange, start: Array | None = None) -> Array:
         """Return the terms with changed bodies, [ROWS, T]; start: terms to start from, instead of the base."""
-        found = (self.base if start is None else start) + change.mass_share * self.heavier
+        found = self.base if start is None else start
+        if change.mass_share:
+            found = found + change.mass_share * self.heavier
         if change.payload_kg:
             found = found + change.payload_kg * _interpolated(self.distances_m, self.loaded, change.payload_m)
         if change.length_share:
             found = found + _interpolated(LENGTH_SHARES, self.longer, change.length_share)
-        for axis, angle in change.tilts_rad.items():
+        for axis, angle in change.tilts_rad:
             found = found + angle * self.tilted[axis]
-        return np.asarray(found)
+        return found
 
 
 def slopes(mechanism: Mechanism, joint: Joint, around: Mapping[str, tuple[Array, Array, Array]]) -> Slopes:
@@ -66,6 +68,19 @@ def slopes(mechanism: Mechanism, joint: Joint, around: Mapping[str, tuple[Array,
         tilted={
             axis: changed(Change(tilts_rad={axis: TILT_STEP_RAD})) / TILT_STEP_RAD for axis in mechanism.level_axes
         },
+    )
+
+
+def joined(found: Sequence[Slopes]) -> Slopes:
+    """Return the terms of all recordings one after the other, [..., M]."""
+    first = found[0]
+    return Slopes(
+        base=np.concatenate([each.base for each in found], axis=-1),
+        heavier=np.concatenate([each.heavier for each in found], axis=-1),
+        distances_m=first.distances_m,
+        loaded=np.concatenate([each.loaded for each in found], axis=-1),
+        longer=np.concatenate([each.longer for each in found], axis=-1),
+        tilted={axis: np.concatenate([each.tilted[axis] for each in found], axis=-1) for axis in first.tilted},
     )
 
 

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, slopes
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, joined, slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
 from softarm.diagnosis.rigs.motion import (
     SLOW,
@@ -81,6 +82,7 @@ class JointView(RigView):
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
+        self._slopes = joined(self._terms)
         self._torques = Torques(self._terms, self._motions)
         self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
         self._refuse_mistakes(trials)
@@ -104,8 +106,8 @@ class JointView(RigView):
         super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
-        self._windows = [self._starts(k, seen[k]) for k in range(len(trials))]
-        self._free = [self._freed(k) for k in range(len(trials))]
+        self._windows = self._starts()
+        self._free = self._freed()
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
 
@@ -126,20 +128,17 @@ class JointView(RigView):
         for around in self._around:
             others = {n: (*m[:2], _smooth(m[2])) for n, m in around.items() if n != self._joint.name}
             smooth.append(self._mechanism.terms(self._joint, {**around, **others}))
-        law, drives, paths = self._prepared({})
-        unsure = []
-        for k, (windows, path) in enumerate(zip(self._windows, self._prepared({}, smooth)[2], strict=True)):
-            moved = self._left(k, windows, path, law, drives[k]) - self._left(k, windows, paths[k], law, drives[k])
-            self._free_starts(k, moved)
-            unsure.append(_widened(np.abs(moved) > self.floor[0], self._motions[k].grid.step_s))
-        every = np.concatenate(unsure)
-        if every.mean() > UNSURE_MOST:
-            return float(every.mean())
-        self.measured[every] = np.nan
-        for windows, out in zip(self._windows, unsure, strict=True):
-            windows.seen[out] = np.nan
-        self._free = [self._freed(k) for k in range(len(self._windows))]
-        return float(every.mean())
+        moved = self._left([{}], terms=np.concatenate(smooth, axis=1)) - self._left([{}])
+        laws.free_starts(moved, self._windows.edges, *self._free)
+        large = np.abs(moved[0]) > self.floor[0]
+        trials = zip(slices(self.trial), self._motions, strict=True)
+        unsure = np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
+        if unsure.mean() > UNSURE_MOST:
+            return float(unsure.mean())
+        self.measured[unsure] = np.nan
+        self._windows.seen[unsure] = np.nan
+        self._free = self._freed()
+        return float(unsure.mean())
 
     @property
     def _zero(self) -> float:
@@ -150,20 +149,19 @@ class JointView(RigView):
         """Return each sample's recording [M], the gap's change with a zero, per rad or m [M], and its squares [K]."""
         names = list(dict.fromkeys(recordings))
         of = np.array([names.index(name) for name in recordings])[self.trial]
-        moved = self._raw_gap({f"{self.stage}.sensor_bias.bias": self._zero})
-        change = np.nan_to_num(moved - self._raw_gap({})) / self._zero
+        moved, raw = self._raw_gaps([{f"{self.stage}.sensor_bias.bias": self._zero}, {}])
+        change = np.nan_to_num(moved - raw) / self._zero
         return of, change, np.maximum(np.bincount(of, change**2), 1e-30)
 
     def _zeros_apart(self, raw: Array) -> Array:
-        """Return the zero of each recording beside their mean that explains values [M] best, rad or m, [K]."""
+        """Return the zero of each recording beside their mean that explains values [P, M] best, rad or m, [P, K]."""
         of, change, squares = self._apart
-        products = -np.bincount(of, change * np.nan_to_num(raw))
+        weighted = np.where(np.isnan(raw), 0.0, -change * raw)
+        products = np.stack([weighted[:, of == k].sum(axis=1) for k in range(len(squares))], axis=1)
         most = ZERO_APART * self._zero
-        return np.asarray(np.clip(products / squares - products.sum() / squares.sum(), -most, most))
-
-    def _free_starts(self, k: int, left: Array) -> None:
-        """Remove from a trial's values [T] what a change of its windows' starts explains."""
-        laws.free_starts(left, self._windows[k].edges, *self._free[k])
+        return np.asarray(
+            np.clip(products / squares - products.sum(axis=1, keepdims=True) / squares.sum(), -most, most)
+        )
 
     def _substeps(self) -> int:
         """Return the integration steps per sample: no longer than the model's own, and fine enough for its loop."""
@@ -300,7 +298,7 @@ class JointView(RigView):
 
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
-        zeros, found = self._zeros_apart(self._raw_gap(point)), [*self.assumptions]
+        zeros, found = self._zeros_apart(self._raw_gaps([point])), [*self.assumptions]
         if self._unsure > UNSURE_WARNED:
             done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
             found.append(
@@ -327,70 +325,83 @@ class JointView(RigView):
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with the mass of each body, [q, M, 1]."""
-        base = self._gap({})
-        found = [self._gap({}, terms) - base for terms in self._with_heavier_bodies]
+        base = self._gaps([{}])
+        found = [self._gaps([{}], terms) - base for terms in self._with_heavier_bodies]
         return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
 
     @cached_property
-    def _with_heavier_bodies(self) -> list[list[Array]]:
-        """Rigid-body terms of all trials with each body behind the joint heavier."""
+    def _with_heavier_bodies(self) -> list[Array]:
+        """Rigid-body terms with each body behind the joint heavier, [ROWS, M] each."""
         changes = [Change(mass_share=OF_OWN, body=name.partition(".mass_")[2]) for name in self.own_nuisances]
-        return [[self._mechanism.terms(self._joint, each, change) for each in self._around] for change in changes]
+        terms = self._mechanism.terms
+        return [np.concatenate([terms(self._joint, a, change) for a in self._around], axis=1) for change in changes]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by speed and direction."""
         return regimes(self.features, self._scales.speed, self._scales.period_s)
 
-    def _gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
-        """Return measured minus predicted values at a point, [M, 1]; other: rigid-body terms instead of the own."""
-        raw = self._raw_gap(point, other)
+    def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        """Return measured minus predicted values at each of P points, [P, M, 1]; NaN where no sample was measured."""
+        return self._gaps(points).astype(np.float32)
+
+    def _gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
+        """Return the gaps [P, M, 1]; terms: rigid-body terms to start from, instead of the own."""
+        raw = self._raw_gaps(points, terms)
         of, change, _ = self._apart
-        return (raw + self._zeros_apart(raw)[of] * change)[:, None]
+        return (raw + self._zeros_apart(raw)[:, of] * change)[..., None]
 
-    def _raw_gap(self, point: Point, other: Sequence[Array] | None = None) -> Array:
-        """Return the gap [M] with one zero for all recordings."""
-        law, drives, paths = self._prepared(point, other)
-        parts = []
-        for k, windows in enumerate(self._windows):
-            left = self._left(k, windows, paths[k], law, drives[k])
-            self._free_starts(k, left)
-            parts.append(left)
-        return np.concatenate(parts)
+    def _raw_gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
+        """Return the gaps [P, M] with one zero for all recordings."""
+        left = self._left(points, terms)
+        laws.free_starts(left, self._windows.edges, *self._free)
+        return left
 
-    def _prepared(self, point: Point, other: Sequence[Array] | None = None) -> tuple[Array, list[Array], list[Array]]:
-        """Return the law at a point, and the drives and rigid-body terms of all trials; other: terms to start from."""
-        at = {path: self.value(point, path) for path in self._known}
-        body = BodyChange(
+    def _left(self, points: Sequence[Point], terms: Array | None = None, windows: laws.Windows | None = None) -> Array:
+        """Return measured minus predicted values from the windows' starts, [P, M].
+
+        Args:
+            points: points to simulate.
+            terms: rigid-body terms to start from, [ROWS, M], by default the own.
+            windows: windows with other starts, by default the own.
+        """
+        every = [{path: self.value(point, path) for path in self._known} for point in points]
+        paths: dict[BodyChange, Array] = {}
+        for body in map(self._body, every):
+            if body not in paths:
+                paths[body] = self._slopes.at(body, terms)
+        inputs = laws.Inputs.of([self._drive_at(at) for at in every], [paths[self._body(at)] for at in every])
+        law = np.array([self._law(at) for at in every])
+        return laws.residuals(self._windows if windows is None else windows, inputs, law, self._each)
+
+    def _body(self, at: Mapping[str, float]) -> BodyChange:
+        """Return the change of the bodies and of the base in some values, by 'effect.parameter'."""
+        return BodyChange(
             mass_share=at.get("mass.scale", 0.0),
             payload_kg=at.get("payload.mass", 0.0),
-            payload_m=at.get("payload.distance", 0.0),
+            payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
             length_share=at.get("length.scale", 0.0),
-            tilts_rad={axis: at[f"tilt.{axis}"] for axis in self._scales.tilts},
+            tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in self._scales.tilts if at[f"tilt.{axis}"]),
         )
-        paths = [terms.at(body, None if other is None else other[k]) for k, terms in enumerate(self._terms)]
+
+    def _drive_at(self, at: Mapping[str, float]) -> Array:
+        """Return the drive at every integration step, [M each]."""
         delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
         factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
-        return self._law(at), self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor), paths
+        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor)
 
-    def _left(self, k: int, windows: laws.Windows, path: Array, law: Array, drive: Array) -> Array:
-        """Return measured minus predicted values of a trial from the windows' starts, [T]; path: rigid-body terms."""
-        out = np.empty(len(windows.seen))
-        laws.residuals(windows, drive, path, law, self._motions[k].grid.step_s, self._each, out)
-        return out
-
-    def _freed(self, k: int) -> tuple[Array, Array]:
-        """Return how a trial's values change with their window's start [2, T], and the least-squares fit of it [2, T].
+    def _freed(self) -> tuple[Array, Array]:
+        """Return how values change with their window's start [2, M], and the least-squares fit of it [2, M].
 
         The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
         """
-        law, drives, paths = self._prepared({})
-        windows, path, drive = self._windows[k], paths[k], drives[k]
-        base, spread, changed = self._left(k, windows, path, law, drive), self._motions[k].spread, []
+        windows, changed = self._windows, []
+        base = self._left([{}])[0]
+        spread = np.concatenate([[m.spread] * (len(e) - 1) for m, e in zip(self._motions, self._edges, strict=True)])
         for d in range(2):
-            moved = windows._replace(starts=windows.starts + NUDGED * spread[d] * np.eye(2)[d])
-            changed.append((self._left(k, moved, path, law, drive) - base) / NUDGED)
+            moved = windows._replace(starts=windows.starts + NUDGED * spread * np.eye(2)[d])
+            changed.append((self._left([{}], windows=moved)[0] - base) / NUDGED)
         both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
         solve = np.empty_like(both)
         for a, b in pairwise(windows.edges):
@@ -428,11 +439,11 @@ class JointView(RigView):
         law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
         return law
 
-    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> list[Array]:
-        """Drive of the actuator at every integration step of all trials, [T each]."""
+    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> Array:
+        """Return the drive of the actuator at every integration step of all trials, [M each]."""
         actuator = self._actuator
         if actuator is None:
-            return [np.zeros(len(m.seen) * self._each) for m in self._motions]
+            return np.zeros(len(self.trial) * self._each)
         found = []
         for m, integral in zip(self._motions, self._inputs, strict=True):
             h = m.grid.step_s / self._each
@@ -440,7 +451,7 @@ class JointView(RigView):
             out = np.empty_like(held)
             laws.follow(held, rate, lag_s, h, out)
             found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
-        return found
+        return np.concatenate(found)
 
     def _compared(self, k: int) -> Array:
         """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
@@ -448,12 +459,16 @@ class JointView(RigView):
         out = self._mechanism.touching(self._around[k]) | (m.position <= low) | (m.position >= high)
         return np.where(_widened(out, m.grid.step_s), np.nan, m.seen)
 
-    def _starts(self, k: int, seen: Array) -> laws.Windows:
-        m, edges = self._motions[k], self._edges[k]
-        first = edges[:-1]
-        _, sides = directions(m, edges, SLOW * 0.3 * self._scales.speed)
-        starts = np.ascontiguousarray(np.stack((m.position[first], m.speed[first]), axis=1))
-        return laws.Windows(seen, edges, starts, sides)
+    def _starts(self) -> laws.Windows:
+        """Return the windows of all trials."""
+        edges, starts, sides, steps = [np.zeros(1, np.int64)], [], [], []
+        for m, own in zip(self._motions, self._edges, strict=True):
+            edges.append(own[1:] + edges[-1][-1])
+            starts.append(np.stack((m.position[own[:-1]], m.speed[own[:-1]]), axis=1))
+            sides.append(directions(m, own, SLOW * 0.3 * self._scales.speed)[1])
+            steps.append(np.full(len(own) - 1, m.grid.step_s))
+        joints = (np.concatenate(each) for each in (edges, starts, sides, steps))
+        return laws.Windows(self.measured[:, 0].copy(), *joints)
 
     def _signals(self, k: int) -> dict[str, Array]:
         """Features for a flexible model of the residual."""

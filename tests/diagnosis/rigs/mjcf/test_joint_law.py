@@ -36,12 +36,18 @@ def law(**values):
 
 def travelled(parameters, drive, path=None, start=(0.0, 0.0)):
     """Return the positions at every step; by default of a joint without any load, with an inertia of one."""
-    out = np.empty(len(drive))
+    return simulated(parameters[None], [drive], path, [start])[0]
+
+
+def simulated(parameters, drives, path=None, starts=((0.0, 0.0),)):
+    """Return the positions of P points [P, M]; windows of equal length begin at `starts`."""
+    size = len(drives[0])
     if path is None:
-        path = np.zeros((laws.ROWS, len(drive)))
+        path = np.zeros((laws.ROWS, size))
         path[laws.INERTIA] = 1.0
-    laws.travel(np.array(start), 0.0, drive, path, parameters, H, 1, out)
-    return out
+    edges = np.linspace(0, size, len(starts) + 1).astype(np.int64)
+    windows = laws.Windows(np.zeros(size), edges, np.array(starts), np.zeros(len(starts)), np.full(len(starts), H))
+    return -laws.residuals(windows, laws.Inputs.of(drives, [path] * len(drives)), parameters, 1)
 
 
 @pytest.mark.parametrize(("dry", "kp", "limit"), [(0.0, 20, 10), (0.1, 20, 10), (0.1, 60, 0.8)])
@@ -106,3 +112,35 @@ def test_a_command_is_limited_in_its_rate_and_follows_with_a_lag():
     assert out[250] == pytest.approx(0.5, abs=2e-3)
     laws.follow(np.concatenate(([0.0], np.ones(999))), np.inf, 0.2, H, out)
     assert out[200] == pytest.approx(1 - math.exp(-1), abs=5e-3)
+
+
+def test_points_and_windows_of_a_batch_do_not_depend_on_each_other():
+    random = np.random.default_rng(4)
+    points, size = 11, 180
+    parameters = np.array(
+        [
+            law(
+                KP=random.uniform(0, 100),
+                DRY=random.uniform(0, 1),
+                GIVE=random.choice([0.0, 0.01]),
+                STICTION=random.choice([0.0, 0.5]),
+                SPEED=0.1,
+                HIGH=5.0,
+                GAP=0.01,
+            )
+            for _ in range(points)
+        ]
+    )
+    drives = [random.normal(size=size) for _ in range(points)]
+    starts = random.normal(size=(5, 2))
+    together = simulated(parameters, drives, starts=starts)
+    alone = np.stack([simulated(x[None], [d], starts=starts)[0] for x, d in zip(parameters, drives, strict=True)])
+    assert np.array_equal(together, alone)
+    each = [travelled(parameters[0], drives[0][36 * w : 36 * (w + 1)], start=starts[w]) for w in range(5)]
+    assert np.array_equal(together[0], np.concatenate(each))
+
+
+def test_a_simulation_that_diverges_is_far_from_every_sample():
+    found = travelled(law(SPRING=-1e6), np.full(3000, 1.0))
+    assert np.abs(found[-1]) == laws.FAR
+    assert np.isfinite(found).all()
