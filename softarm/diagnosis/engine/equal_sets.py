@@ -73,11 +73,9 @@ def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[F
     if size > 1:
         options = [fit.effects[0] for fit in alone if fit.names[0] not in chosen.names]
         prediction = Prediction(search.problem, chosen, options)
-        members = combinations(range(len(prediction.effects)), size)
         # The search has compared the subsets of the chosen set, and sets with one other effect.
         shared_max = size - 2 if size == len(chosen.effects) else size - 1
-        predicted = [prediction.of(each) for each in members if each[shared_max] >= len(chosen.effects)]
-        best = sorted(predicted, key=lambda each: each.loss)[:FITTED_MAX]
+        best = prediction.best(size, len(chosen.effects), shared_max)
         fits = search.problem.fit([(each.effects, each.u) for each in best], search.thresholds.search.rounds)
     return [fit for fit in fits if search.is_nameable(fit)]
 
@@ -101,6 +99,29 @@ class Prediction:
         self._normal, self._slope = problem.sensitivities(replace(fit, effects=self.effects, u=u))
         self._x = joined(u)
         self._owner = np.repeat(np.arange(len(self.effects)), [len(each.parameters) for each in self.effects])
+
+    def best(self, size: int, chosen: int, shared_max: int) -> list[PredictedSet]:
+        """Return the most promising sets of a size, FITTED_MAX at most, best first.
+
+        Sets that share the same chosen effects lose at least as much as these with every option, so most sets need no
+        prediction (branch and bound, Furnival and Wilson 1974).
+
+        Args:
+            size: number of effects.
+            chosen: number of chosen effects, which come first in `effects`.
+            shared_max: chosen effects in a set, at most.
+        """
+        options = range(chosen, len(self.effects))
+        least = max(size - len(options), 0)
+        shared = [each for count in range(least, shared_max + 1) for each in combinations(range(chosen), count)]
+        bounds = [self.of((*each, *options)).loss for each in shared]
+        found: list[PredictedSet] = []
+        for i in np.argsort(bounds, kind="stable"):
+            if len(found) == FITTED_MAX and bounds[i] >= found[-1].loss:
+                break
+            found += [self.of((*shared[i], *more)) for more in combinations(options, size - len(shared[i]))]
+            found = sorted(found, key=lambda each: each.loss)[:FITTED_MAX]
+        return found
 
     def of(self, members: Collection[int]) -> PredictedSet:
         """Return the best fit of some of `effects`, by index, next to the nuisances; the others become nominal."""

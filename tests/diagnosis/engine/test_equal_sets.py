@@ -1,12 +1,14 @@
 """Sets of effects: the smallest set that explains the recordings is the answer, and its equals are known."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pytest
 
 from softarm.diagnosis.engine import equal_sets
 from softarm.diagnosis.engine.candidates import Candidate, Nuisance
+from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
@@ -58,6 +60,19 @@ def chosen(request):
         return search, search.problem.fit([(own, tuple(c.starts[0] for c in own))])[0], null_model
 
     return made
+
+
+@pytest.mark.parametrize("truth", [(0.5, 0.3), (0.5, 0.6, 0.4), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("size", [1, 2, 3, 4])
+def test_the_most_promising_sets_are_those_of_a_search_over_all(chosen, truth, size):
+    search, both, null_model = chosen(truth, "slow", "fast")
+    options = [fit.effects[0] for fit in search.extended(null_model) if fit.names[0] not in both.names]
+    prediction = Prediction(search.problem, both, options)
+    for shared_max in range(min(size, 2) + 1):
+        every = [m for m in combinations(range(5), size) if sum(i < 2 for i in m) <= shared_max]
+        losses = sorted(prediction.of(members).loss for members in every)
+        found = [each.loss for each in prediction.best(size, 2, shared_max)]
+        assert found == pytest.approx(losses[: equal_sets.FITTED_MAX], abs=1e-6)
 
 
 def test_one_effect_replaces_two_that_it_explains(chosen):
