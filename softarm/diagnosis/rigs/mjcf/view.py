@@ -1,8 +1,7 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, lru_cache
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,8 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, joined, slopes
+from softarm.diagnosis.rigs.mjcf.simulation import JointSimulation
+from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
 from softarm.diagnosis.rigs.motion import (
     SLOW,
@@ -25,7 +25,6 @@ from softarm.diagnosis.rigs.motion import (
     WINDOW_PERIODS,
     Motion,
     differences,
-    directions,
     motion,
     motions,
     period,
@@ -47,8 +46,6 @@ RATE_HZ = 500.0
 FELT = 1e-4
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
-# Step of the numerical derivative by a window's start, in its uncertainty.
-NUDGED = 0.05
 # Share of the samples that may be left out because the other joints move too fast between samples.
 UNSURE_MOST = 0.5
 # Share from which a warning says so.
@@ -82,7 +79,6 @@ class JointView(RigView):
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
         self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
-        self._slopes = joined(self._terms)
         self._torques = Torques(self._terms, self._motions)
         self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
         self._refuse_mistakes(trials)
@@ -98,7 +94,6 @@ class JointView(RigView):
         longest_s = min(scales.period_s, self._unstable_s() / WINDOW_PERIODS)
         window_s, self.block_s = window_lengths(longest_s, scales.step_s, self._motions)
         self._each = self._substeps()
-        self._drives = lru_cache(64)(self._driven)
         self._edges = [window_edges(m.grid, window_s) for m in self._motions]
         signals = [self._signals(k) for k in range(len(trials))]
         seen = [self._compared(k) for k in range(len(trials))]
@@ -106,8 +101,9 @@ class JointView(RigView):
         super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
-        self._windows = self._starts()
-        self._free = self._freed()
+        self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
+        (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
+        self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
 
@@ -128,16 +124,16 @@ class JointView(RigView):
         for around in self._around:
             others = {n: (*m[:2], _smooth(m[2])) for n, m in around.items() if n != self._joint.name}
             smooth.append(self._mechanism.terms(self._joint, {**around, **others}))
-        moved = self._left([{}], terms=np.concatenate(smooth, axis=1)) - self._left([{}])
-        laws.free_starts(moved, self._windows.edges, *self._free)
+        own, simulation = self._values([{}]), self._simulation
+        moved = simulation.residuals(own, np.concatenate(smooth, axis=1)) - simulation.residuals(own)
+        simulation.free_starts(moved)
         large = np.abs(moved[0]) > self.floor[0]
         trials = zip(slices(self.trial), self._motions, strict=True)
         unsure = np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
         if unsure.mean() > UNSURE_MOST:
             return float(unsure.mean())
         self.measured[unsure] = np.nan
-        self._windows.seen[unsure] = np.nan
-        self._free = self._freed()
+        simulation.leave_out(unsure, own[0], float(self.floor[0]))
         return float(unsure.mean())
 
     @property
@@ -353,122 +349,19 @@ class JointView(RigView):
 
     def _raw_gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
         """Return the gaps [P, M] with one zero for all recordings."""
-        left = self._left(points, terms)
-        laws.free_starts(left, self._windows.edges, *self._free)
+        left = self._simulation.residuals(self._values(points), terms)
+        self._simulation.free_starts(left)
         return left
 
-    def _left(self, points: Sequence[Point], terms: Array | None = None, windows: laws.Windows | None = None) -> Array:
-        """Return measured minus predicted values from the windows' starts, [P, M].
-
-        Args:
-            points: points to simulate.
-            terms: rigid-body terms to start from, [ROWS, M], by default the own.
-            windows: windows with other starts, by default the own.
-        """
-        every = [{path: self.value(point, path) for path in self._known} for point in points]
-        paths: dict[BodyChange, Array] = {}
-        for body in map(self._body, every):
-            if body not in paths:
-                paths[body] = self._slopes.at(body, terms)
-        inputs = laws.Inputs.of([self._drive_at(at) for at in every], [paths[self._body(at)] for at in every])
-        law = np.array([self._law(at) for at in every])
-        return laws.residuals(self._windows if windows is None else windows, inputs, law, self._each)
-
-    def _body(self, at: Mapping[str, float]) -> BodyChange:
-        """Return the change of the bodies and of the base in some values, by 'effect.parameter'."""
-        return BodyChange(
-            mass_share=at.get("mass.scale", 0.0),
-            payload_kg=at.get("payload.mass", 0.0),
-            payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
-            length_share=at.get("length.scale", 0.0),
-            tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in self._scales.tilts if at[f"tilt.{axis}"]),
-        )
-
-    def _drive_at(self, at: Mapping[str, float]) -> Array:
-        """Return the drive at every integration step, [M each]."""
-        delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
-        factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
-        rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
-        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor)
-
-    def _freed(self) -> tuple[Array, Array]:
-        """Return how values change with their window's start [2, M], and the least-squares fit of it [2, M].
-
-        The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
-        """
-        windows, changed = self._windows, []
-        base = self._left([{}])[0]
-        spread = np.concatenate([[m.spread] * (len(e) - 1) for m, e in zip(self._motions, self._edges, strict=True)])
-        for d in range(2):
-            moved = windows._replace(starts=windows.starts + NUDGED * spread * np.eye(2)[d])
-            changed.append((self._left([{}], windows=moved)[0] - base) / NUDGED)
-        both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
-        solve = np.empty_like(both)
-        for a, b in pairwise(windows.edges):
-            directions = both[:, a:b]
-            normal = directions @ directions.T + float(self.floor[0]) ** 2 * np.eye(2)
-            solve[:, a:b] = np.linalg.solve(normal, directions)
-        return both, solve
-
-    def _law(self, at: Mapping[str, float]) -> Array:
-        law, joint, actuator = np.zeros(laws.COLUMNS), self._joint, self._actuator
-        law[laws.REST] = joint.rest
-        law[laws.LOW], law[laws.HIGH] = -np.inf, np.inf
-        if actuator is not None:
-            factor, limit = 1 + at["gain.scale"], at["ceiling.limit"]
-            stiff = factor * (1 + at.get("position_gain.scale", 0.0))
-            law[laws.KP], law[laws.KD] = stiff * actuator.kp, factor * actuator.kd
-            law[laws.LOW], law[laws.HIGH] = actuator.low, actuator.high
-            if limit != actuator.high:
-                law[laws.LOW], law[laws.HIGH] = -limit, limit
-        for path, column in (
-            ("coulomb_friction.torque", laws.DRY),
-            ("coulomb_friction.give", laws.GIVE),
-            ("stiction.torque", laws.STICTION),
-            ("stiction.speed", laws.SPEED),
-            ("load_friction.share", laws.LOADED),
-            ("damping.viscous", laws.VISCOUS),
-            ("drag.coefficient", laws.DRAG),
-            ("spring.stiffness", laws.SPRING),
-            ("torque_offset.torque", laws.OFFSET),
-            ("sensor_bias.bias", laws.BIAS),
-            ("deadband.width", laws.WIDTH),
-            ("backlash.gap", laws.GAP),
-        ):
-            law[column] = at.get(path, 0.0)
-        law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
-        return law
-
-    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> Array:
-        """Return the drive of the actuator at every integration step of all trials, [M each]."""
-        actuator = self._actuator
-        if actuator is None:
-            return np.zeros(len(self.trial) * self._each)
-        found = []
-        for m, integral in zip(self._motions, self._inputs, strict=True):
-            h = m.grid.step_s / self._each
-            held = held_means(integral, m.grid.t_s[0] - delay_s, h, len(m.seen) * self._each)
-            out = np.empty_like(held)
-            laws.follow(held, rate, lag_s, h, out)
-            found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
-        return np.concatenate(found)
+    def _values(self, points: Sequence[Point]) -> list[dict[str, float]]:
+        """Return every parameter of each point, by 'effect.parameter'."""
+        return [{path: self.value(point, path) for path in self._known} for point in points]
 
     def _compared(self, k: int) -> Array:
         """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
         out = self._mechanism.touching(self._around[k]) | (m.position <= low) | (m.position >= high)
         return np.where(_widened(out, m.grid.step_s), np.nan, m.seen)
-
-    def _starts(self) -> laws.Windows:
-        """Return the windows of all trials."""
-        edges, starts, sides, steps = [np.zeros(1, np.int64)], [], [], []
-        for m, own in zip(self._motions, self._edges, strict=True):
-            edges.append(own[1:] + edges[-1][-1])
-            starts.append(np.stack((m.position[own[:-1]], m.speed[own[:-1]]), axis=1))
-            sides.append(directions(m, own, SLOW * 0.3 * self._scales.speed)[1])
-            steps.append(np.full(len(own) - 1, m.grid.step_s))
-        joints = (np.concatenate(each) for each in (edges, starts, sides, steps))
-        return laws.Windows(self.measured[:, 0].copy(), *joints)
 
     def _signals(self, k: int) -> dict[str, Array]:
         """Features for a flexible model of the residual."""

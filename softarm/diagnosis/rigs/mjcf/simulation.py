@@ -1,0 +1,173 @@
+"""Simulation of one joint's recordings at many points of a fit, each window from its own start."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.grid import held_means
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Joint
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, joined
+from softarm.diagnosis.rigs.motion import Motion, directions
+
+# Step of the numerical derivative by a window's start, in its uncertainty.
+NUDGED = 0.05
+# Parameters that are columns of the law.
+_COLUMNS = {
+    "coulomb_friction.torque": laws.DRY,
+    "coulomb_friction.give": laws.GIVE,
+    "stiction.torque": laws.STICTION,
+    "stiction.speed": laws.SPEED,
+    "load_friction.share": laws.LOADED,
+    "damping.viscous": laws.VISCOUS,
+    "drag.coefficient": laws.DRAG,
+    "spring.stiffness": laws.SPRING,
+    "torque_offset.torque": laws.OFFSET,
+    "sensor_bias.bias": laws.BIAS,
+    "deadband.width": laws.WIDTH,
+    "backlash.gap": laws.GAP,
+}
+# Values of all parameters at one point, by 'effect.parameter'.
+Values = Mapping[str, float]
+
+
+class JointSimulation:
+    """Windows of all trials of a joint, with M samples."""
+
+    def __init__(
+        self,
+        joint: Joint,
+        actuator: Actuator | None,
+        terms: Sequence[Slopes],
+        motions: Sequence[Motion],
+        inputs: Sequence[tuple[Array, Array]],
+        each: int,
+    ) -> None:
+        """Prepare the inputs.
+
+        Args:
+            joint: the joint.
+            actuator: its actuator, or None.
+            terms: rigid-body terms of each trial.
+            motions: measured motion of each trial.
+            inputs: stamps and integral of each trial's command; empty without an actuator.
+            each: integration steps per sample.
+        """
+        self._joint, self._actuator, self._motions = joint, actuator, motions
+        self._inputs, self._each = inputs, each
+        self._slopes = joined(terms)
+        self._drives = lru_cache(64)(self._driven)
+
+    def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:
+        """Guess the starts of the windows.
+
+        Args:
+            seen: measured position; NaN where no sample was measured [M].
+            edges: first samples of the windows in each trial, and its end.
+            slow: speed below which the joint counts as at rest.
+            at: values of the nominal model.
+            floor: noise floor.
+        """
+        ends, starts, sides, steps = [np.zeros(1, np.int64)], [], [], []
+        for m, own in zip(self._motions, edges, strict=True):
+            ends.append(own[1:] + ends[-1][-1])
+            starts.append(np.stack((m.position[own[:-1]], m.speed[own[:-1]]), axis=1))
+            sides.append(directions(m, own, slow)[1])
+            steps.append(np.full(len(own) - 1, m.grid.step_s))
+        spreads = [np.tile(m.spread, (len(s), 1)) for m, s in zip(self._motions, steps, strict=True)]
+        whole = (np.concatenate(each) for each in (ends, starts, sides, steps))
+        self._windows = laws.Windows(seen.copy(), *whole)
+        self._spread = np.concatenate(spreads)
+        self._freed = self._by_start(at, floor)
+
+    def leave_out(self, samples: NDArray[np.bool_], at: Values, floor: float) -> None:
+        """Leave samples [M] out; other arguments are those of `start`."""
+        self._windows.seen[samples] = np.nan
+        self._freed = self._by_start(at, floor)
+
+    def residuals(self, values: Sequence[Values], terms: Array | None = None, moved: Array | float = 0.0) -> Array:
+        """Return measured minus predicted values from the windows' starts at P points, [P, M].
+
+        Args:
+            values: values at each point.
+            terms: rigid-body terms to start from, [ROWS, M], by default the own.
+            moved: change of the windows' starts, [W, 2].
+        """
+        paths: dict[BodyChange, Array] = {}
+        for body in map(_body, values):
+            if body not in paths:
+                paths[body] = self._slopes.at(body, terms)
+        inputs = laws.Inputs.of([self._drive(at) for at in values], [paths[_body(at)] for at in values])
+        windows = self._windows._replace(starts=self._windows.starts + moved)
+        return laws.residuals(windows, inputs, np.array([self._law(at) for at in values]), self._each)
+
+    def free_starts(self, left: Array) -> None:
+        """Remove from values left [P, M] what a change of each window's start explains."""
+        laws.free_starts(left, self._windows.edges, *self._freed)
+
+    def _by_start(self, at: Values, floor: float) -> tuple[Array, Array]:
+        """Return how values change with their window's start [2, M], and the least-squares fit of it [2, M].
+
+        The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
+        """
+        base = self.residuals([at])[0]
+        nudges = [NUDGED * self._spread * axis for axis in np.eye(2)]
+        changed = [(self.residuals([at], moved=nudge)[0] - base) / NUDGED for nudge in nudges]
+        both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
+        solve = np.empty_like(both)
+        for a, b in pairwise(self._windows.edges):
+            change = both[:, a:b]
+            normal = change @ change.T + floor**2 * np.eye(2)
+            solve[:, a:b] = np.linalg.solve(normal, change)
+        return both, solve
+
+    def _law(self, at: Values) -> Array:
+        law, joint, actuator = np.zeros(laws.COLUMNS), self._joint, self._actuator
+        law[laws.REST] = joint.rest
+        law[laws.LOW], law[laws.HIGH] = -np.inf, np.inf
+        if actuator is not None:
+            factor, limit = 1 + at["gain.scale"], at["ceiling.limit"]
+            stiff = factor * (1 + at.get("position_gain.scale", 0.0))
+            law[laws.KP], law[laws.KD] = stiff * actuator.kp, factor * actuator.kd
+            law[laws.LOW], law[laws.HIGH] = actuator.low, actuator.high
+            if limit != actuator.high:
+                law[laws.LOW], law[laws.HIGH] = -limit, limit
+        for path, column in _COLUMNS.items():
+            law[column] = at.get(path, 0.0)
+        law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
+        return law
+
+    def _drive(self, at: Values) -> Array:
+        """Return the drive at every integration step, [M each]."""
+        delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
+        factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
+        rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
+        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor)
+
+    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> Array:
+        actuator = self._actuator
+        if actuator is None:
+            return np.zeros(sum(len(m.seen) for m in self._motions) * self._each)
+        found = []
+        for m, integral in zip(self._motions, self._inputs, strict=True):
+            h = m.grid.step_s / self._each
+            held = held_means(integral, m.grid.t_s[0] - delay_s, h, len(m.seen) * self._each)
+            out = np.empty_like(held)
+            laws.follow(held, rate, lag_s, h, out)
+            found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
+        return np.concatenate(found)
+
+
+def _body(at: Values) -> BodyChange:
+    """Return the change of the bodies and of the base in some values."""
+    return BodyChange(
+        mass_share=at.get("mass.scale", 0.0),
+        payload_kg=at.get("payload.mass", 0.0),
+        payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
+        length_share=at.get("length.scale", 0.0),
+        tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in "xyz" if at.get(f"tilt.{axis}")),
+    )
