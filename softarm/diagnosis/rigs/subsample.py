@@ -22,7 +22,7 @@ from softarm.diagnosis.rigs.views import RigView
 
 # Largest number of stretches that a recording is cut into, for stretches of four blocks.
 PIECES_MOST = 8
-# Share of the budget that a search uses by plan; searches took 0.7 to 1.3 times their plan.
+# Share of the budget that a search uses by plan.
 PLANNED = 0.75
 # Shortest stretch, in blocks: one of the two windows that a block has at least.
 LEAST_BLOCKS = 0.5

@@ -68,7 +68,7 @@ class RigView:
             value that leaves the smallest gap becomes that of the nominal model.
         driven_by: stages whose measured motion loads this stage.
         assumptions: warnings about the description, which hold before any fit.
-        step_cost_s: processor time of a search per rollout and integration step, s; measured once.
+        step_cost_s: processor time of a search per planned rollout and integration step, s; measured once.
     """
 
     block_s = BLOCK_S
@@ -126,7 +126,7 @@ class RigView:
 
     @property
     def rollout_s(self) -> float:
-        """Processor time that a search takes per rollout, s, on the computer of `step_cost_s`."""
+        """Processor time that a search takes per planned rollout, s, on the computer of `step_cost_s`."""
         return self.step_cost_s * self._each * len(self.t_s)
 
     def warnings(self, point: Point) -> tuple[str, ...]:

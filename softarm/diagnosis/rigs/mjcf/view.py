@@ -64,7 +64,7 @@ GIVES = np.linspace(0.0, 4.0, 9)
 class JointView(RigView):
     """View from a joint's command, or its measured torque, to its position."""
 
-    step_cost_s = 0.06e-6
+    step_cost_s = 0.06e-6  # of an arm with many gaps, which takes three times its plan
     blocks_each = 2
 
     def __init__(self, trials: Sequence[Trial]) -> None:
