@@ -71,9 +71,10 @@ async def test_the_daemon_receives_the_servers_frames(
                 streaming.poses["link3"] = Pose(0, 0, 0, tracked=False)
                 await until(lambda: not frames[-1].bodies[3].tracked, each)
                 check(frames, streaming)
+                # Frames before the server's answer are a problem for a second, and a loaded computer answers late.
+                await until(lambda: bridging.status().problem is None, each)
                 status = bridging.status()
                 assert status.daemon_listens
-                assert status.problem is None
                 assert status.lost == ("link3",)
                 assert status.age_ms > 4.0
                 assert source.malformed + source.misplaced == 0
