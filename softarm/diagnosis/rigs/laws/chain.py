@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from softarm.simulator import compiled as _compiled
-from softarm.simulator import simd as _simd
 from softarm.simulator.compiled import compiler
-from softarm.simulator.kernel import numerics as _numerics
+from softarm.simulator.kernel.compiled import SOURCES
 from softarm.simulator.kernel.numerics import clip, sine_cosine
 from softarm.simulator.simd import fill, load, root, some, store
 
-compiled = compiler(*(Path(str(each)) for each in (__file__, _simd.__file__, _compiled.__file__, _numerics.__file__)))
+compiled = compiler(Path(__file__), *SOURCES)
 
 # Number of simulations computed together; enough to hide the latency of a division.
 LANES = 32

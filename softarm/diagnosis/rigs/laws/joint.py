@@ -17,13 +17,13 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.simulator import simd
+from softarm.diagnosis.engine.view import Array
 from softarm.simulator.compiled import compiler
+from softarm.simulator.kernel.compiled import SOURCES
+from softarm.simulator.kernel.numerics import clip
 from softarm.simulator.simd import fill, load, magnitude, root, select, some, store
 
-Floats = NDArray[np.float64]
-
-compiled = compiler(Path(__file__), Path(simd.__file__))
+compiled = compiler(Path(__file__), *SOURCES)
 # Functions of vectors become part of their caller.
 inlined = functools.partial(compiled, forceinline=True)
 
@@ -52,35 +52,35 @@ LANES = (0.0,) * 8
 class Windows(NamedTuple):
     """Measured windows of all trials, with M samples in W windows."""
 
-    seen: Floats  # [M] measured position; NaN where no sample was measured
+    seen: Array  # [M] measured position; NaN where no sample was measured
     edges: NDArray[np.int64]  # [W + 1] first samples of the windows, and the end
-    starts: Floats  # [W, 2] position and speed at the starts
-    sides: Floats  # [W] place within the play, and bend of the friction, at the starts, -1 to 1
-    step_s: Floats  # [W] sampling intervals
+    starts: Array  # [W, 2] position and speed at the starts
+    sides: Array  # [W] place within the play, and bend of the friction, at the starts, -1 to 1
+    step_s: Array  # [W] sampling intervals
 
 
 class Inputs(NamedTuple):
     """Distinct inputs of P points, and the one of each point."""
 
-    drives: Floats  # [D, M each] drives of the actuator at each integration step
+    drives: Array  # [D, M each] drives of the actuator at each integration step
     drive_of: NDArray[np.int64]  # [P]
-    paths: Floats  # [B, ROWS, M] rigid-body terms at each sample
+    paths: Array  # [B, ROWS, M] rigid-body terms at each sample
     path_of: NDArray[np.int64]  # [P]
 
     @classmethod
-    def of(cls, drives: Sequence[Floats], paths: Sequence[Floats]) -> Self:
+    def of(cls, drives: Sequence[Array], paths: Sequence[Array]) -> Self:
         """Return the inputs of P points, [M each] and [ROWS, M] of each; points may share an array."""
         return cls(*_distinct(drives), *_distinct(paths))
 
 
-def _distinct(arrays: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+def _distinct(arrays: Sequence[Array]) -> tuple[Array, NDArray[np.int64]]:
     """Return the arrays without repeated objects, stacked, and the index of each one among them."""
     first = {id(array): array for array in arrays}
     places = {key: place for place, key in enumerate(first)}
     return np.stack([*first.values()]), np.array([places[id(array)] for array in arrays])
 
 
-def residuals(windows: Windows, inputs: Inputs, laws: Floats, each: int) -> Floats:
+def residuals(windows: Windows, inputs: Inputs, laws: Array, each: int) -> Array:
     """Simulate every window from its guessed start; return measured minus predicted values at P points, [P, M].
 
     Args:
@@ -93,13 +93,6 @@ def residuals(windows: Windows, inputs: Inputs, laws: Floats, each: int) -> Floa
     longest_first = np.argsort(-np.diff(windows.edges), kind="stable")
     _residuals(windows, longest_first, inputs, laws, each, LANES, out)
     return out
-
-
-@inlined
-def clip(x, low, high):
-    """Bring x between two bounds; NaN stays NaN."""
-    x = select(x < low, low, x)
-    return select(x > high, high, x)
 
 
 @inlined
