@@ -75,7 +75,7 @@ def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[F
         prediction = Prediction(search.problem, chosen, options)
         # The search has compared the subsets of the chosen set, and sets with one other effect.
         shared_max = size - 2 if size == len(chosen.effects) else size - 1
-        best = prediction.best(size, len(chosen.effects), shared_max)
+        best = prediction.best(size, shared_max)
         fits = search.problem.fit([(each.effects, each.u) for each in best], search.thresholds.search.rounds)
     return [fit for fit in fits if search.is_nameable(fit)]
 
@@ -94,26 +94,25 @@ class Prediction:
 
     def __init__(self, problem: FitProblem, fit: Fit, options: Sequence[Candidate] = ()) -> None:
         """Simulate the sensitivities at a fit; options: further effects that a set may hold."""
-        self._problem, self.effects = problem, (*fit.effects, *options)
+        self._problem, self.effects, self._fitted = problem, (*fit.effects, *options), len(fit.effects)
         u = (*fit.u, *(tuple(d.nominal for d in each.parameters) for each in options))
         self._normal, self._slope = problem.sensitivities(replace(fit, effects=self.effects, u=u))
         self._x = joined(u)
         self._owner = np.repeat(np.arange(len(self.effects)), [len(each.parameters) for each in self.effects])
 
-    def best(self, size: int, chosen: int, shared_max: int) -> list[PredictedSet]:
+    def best(self, size: int, shared_max: int) -> list[PredictedSet]:
         """Return the most promising sets of a size, FITTED_MAX at most, best first.
 
-        Sets that share the same chosen effects lose at least as much as these with every option, so most sets need no
-        prediction (branch and bound, Furnival and Wilson 1974).
+        Sets that share the same effects of the fit lose at least as much as these with every option, so most sets need
+        no prediction (branch and bound, Furnival and Wilson 1974).
 
         Args:
             size: number of effects.
-            chosen: number of chosen effects, which come first in `effects`.
-            shared_max: chosen effects in a set, at most.
+            shared_max: effects of the fit in a set, at most.
         """
-        options = range(chosen, len(self.effects))
+        own, options = range(self._fitted), range(self._fitted, len(self.effects))
         least = max(size - len(options), 0)
-        shared = [each for count in range(least, shared_max + 1) for each in combinations(range(chosen), count)]
+        shared = [each for count in range(least, shared_max + 1) for each in combinations(own, count)]
         bounds = [self.of((*each, *options)).loss for each in shared]
         found: list[PredictedSet] = []
         for i in np.argsort(bounds, kind="stable"):

@@ -71,7 +71,7 @@ def test_the_most_promising_sets_are_those_of_a_search_over_all(chosen, truth, s
     for shared_max in range(min(size, 2) + 1):
         every = [m for m in combinations(range(5), size) if sum(i < 2 for i in m) <= shared_max]
         losses = sorted(prediction.of(members).loss for members in every)
-        found = [each.loss for each in prediction.best(size, 2, shared_max)]
+        found = [each.loss for each in prediction.best(size, shared_max)]
         assert found == pytest.approx(losses[: equal_sets.FITTED_MAX], abs=1e-6)
 
 
