@@ -153,9 +153,8 @@ class Mechanism:
             mujoco.mj_inverseSkip(model, data, known, 1)
             return float(forces[dof])
 
-        unknown, same_position, same_speed = (
-            int(getattr(mujoco.mjtStage, f"mjSTAGE_{name}")) for name in ("NONE", "POS", "VEL")
-        )
+        stage = mujoco.mjtStage
+        unknown, same_position, same_speed = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_POS, stage.mjSTAGE_VEL))
         found = np.empty((law.ROWS, size))
         for k in range(size):
             q[:], v[:], a[:] = qpos[k], qvel[k], qacc[k]

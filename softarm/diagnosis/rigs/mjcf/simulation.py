@@ -81,13 +81,13 @@ class JointSimulation:
         spreads = [np.tile(m.spread, (len(s), 1)) for m, s in zip(self._motions, steps, strict=True)]
         whole = (np.concatenate(each) for each in (ends, starts, sides, steps))
         self._windows = laws.Windows(seen.copy(), *whole)
-        self._spread = np.concatenate(spreads)
-        self._freed = self._by_start(at, floor)
+        self._spread, self._nominal, self._floor = np.concatenate(spreads), at, floor
+        self._freed = self._by_start()
 
-    def leave_out(self, samples: NDArray[np.bool_], at: Values, floor: float) -> None:
-        """Leave samples [M] out; other arguments are those of `start`."""
+    def leave_out(self, samples: NDArray[np.bool_]) -> None:
+        """Leave samples [M] out."""
         self._windows.seen[samples] = np.nan
-        self._freed = self._by_start(at, floor)
+        self._freed = self._by_start()
 
     def residuals(self, values: Sequence[Values], terms: Array | None = None, moved: Array | float = 0.0) -> Array:
         """Return measured minus predicted values from the windows' starts at P points, [P, M].
@@ -97,11 +97,9 @@ class JointSimulation:
             terms: rigid-body terms to start from, [ROWS, M], by default the own.
             moved: change of the windows' starts, [W, 2].
         """
-        paths: dict[BodyChange, Array] = {}
-        for body in map(_body, values):
-            if body not in paths:
-                paths[body] = self._slopes.at(body, terms)
-        inputs = laws.Inputs.of([self._drive(at) for at in values], [paths[_body(at)] for at in values])
+        bodies = [_body(at) for at in values]
+        paths = {body: self._slopes.at(body, terms) for body in dict.fromkeys(bodies)}
+        inputs = laws.Inputs.of([self._drive(at) for at in values], [paths[body] for body in bodies])
         windows = self._windows._replace(starts=self._windows.starts + moved)
         return laws.residuals(windows, inputs, np.array([self._law(at) for at in values]), self._each)
 
@@ -109,11 +107,12 @@ class JointSimulation:
         """Remove from values left [P, M] what a change of each window's start explains."""
         laws.free_starts(left, self._windows.edges, *self._freed)
 
-    def _by_start(self, at: Values, floor: float) -> tuple[Array, Array]:
+    def _by_start(self) -> tuple[Array, Array]:
         """Return how values change with their window's start [2, M], and the least-squares fit of it [2, M].
 
         The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
         """
+        at = self._nominal
         base = self.residuals([at])[0]
         nudges = [NUDGED * self._spread * axis for axis in np.eye(2)]
         changed = [(self.residuals([at], moved=nudge)[0] - base) / NUDGED for nudge in nudges]
@@ -121,7 +120,7 @@ class JointSimulation:
         solve = np.empty_like(both)
         for a, b in pairwise(self._windows.edges):
             change = both[:, a:b]
-            normal = change @ change.T + floor**2 * np.eye(2)
+            normal = change @ change.T + self._floor**2 * np.eye(2)
             solve[:, a:b] = np.linalg.solve(normal, change)
         return both, solve
 

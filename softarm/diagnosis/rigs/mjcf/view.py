@@ -133,7 +133,7 @@ class JointView(RigView):
         if unsure.mean() > UNSURE_MOST:
             return float(unsure.mean())
         self.measured[unsure] = np.nan
-        simulation.leave_out(unsure, own[0], float(self.floor[0]))
+        simulation.leave_out(unsure)
         return float(unsure.mean())
 
     @property
