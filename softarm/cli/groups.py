@@ -1,5 +1,6 @@
 """Click groups: verbs whose module is imported when the verb is used, and suggestions for misspelt verbs."""
 
+import errno
 import logging
 import traceback
 from collections.abc import Iterator, Mapping
@@ -16,6 +17,7 @@ from softarm.common.processes import work_clock
 from softarm.common.words import nearest
 
 DEFECT = 70  # exit code of a defect in softarm (EX_SOFTWARE of sysexits.h)
+NAME_SHOWN = 40  # letters of a file's name that is too long
 LOGGER = "softarm.simulator.compiled"
 
 
@@ -88,6 +90,8 @@ class LazyGroup(Verbs):
         except Exception as error:
             if type(error).__module__.startswith("softarm."):
                 fail(str(error))  # such an error is no defect: its text states cause and remedy
+            if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+                fail(f"{str(error.filename)[:NAME_SHOWN]}...: no file system holds a name that long; name another file")
             if ctx.params["debug"]:
                 raise
             click.echo(defect(ctx.invoked_subcommand or "", error), err=True)

@@ -83,3 +83,10 @@ def test_a_defect_is_one_line_and_with_debug_a_traceback(monkeypatch, tmp_path):
     where = "(broken_verb.py:5): ZeroDivisionError: of the test; report what `softarm --debug broken ...` shows\n"
     assert result.stderr == f"softarm broken: a defect in softarm {where}"
     assert isinstance(invoke("--debug", "broken").exception, ZeroDivisionError)
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_defect():
+    for verb in ("diagnose", "evaluate"):
+        result = invoke(verb, "n" * 300)
+        assert result.exit_code == 1, verb
+        assert "nnn...: no file system holds a name that long; name another file" in result.stderr
