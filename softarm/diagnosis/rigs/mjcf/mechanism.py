@@ -110,6 +110,7 @@ class Mechanism:
         self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
+        self._bodies.jnt_actgravcomp[:] = 0  # else carried weight would be left out with the actuation
         kinds = (int(self._mujoco.mjtJoint.mjJNT_HINGE), int(self._mujoco.mjtJoint.mjJNT_SLIDE))
         single = (i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds)
         self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
