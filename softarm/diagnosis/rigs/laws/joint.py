@@ -257,10 +257,15 @@ def free_starts(left, edges, directions, solve):
 
 @compiled
 def follow(command, rate, lag_s, step_s, out):
-    """Write the command [n] that reaches the actuator to out [n]: no faster than `rate`, after a first-order lag."""
-    kept = math.exp(-step_s / lag_s) if lag_s > 1e-9 else 0.0
+    """Write the command [n] that reaches the actuator to out [n]: no faster than `rate`, after a first-order lag.
+
+    The lag's values are means over a step; its end would be half a step early.
+    """
+    lagging = lag_s > 1e-9
+    kept = math.exp(-step_s / lag_s) if lagging else 0.0
+    mean = (1.0 - kept) * lag_s / step_s if lagging else 0.0
     limited = filtered = command[0]
     for i in range(len(command)):
         limited += min(max(command[i] - limited, -rate * step_s), rate * step_s)
+        out[i] = limited + (filtered - limited) * mean
         filtered = limited + (filtered - limited) * kept
-        out[i] = filtered

@@ -154,7 +154,8 @@ class JointSimulation:
         found = []
         for m, integral in zip(self._motions, self._inputs, strict=True):
             h = m.grid.step_s / self._each
-            held = held_means(integral, m.grid.t_s[0] - delay_s, h, len(m.seen) * self._each)
+            # A step begins with its kick and ends with its motion, so the mean of the drive is that around its start.
+            held = held_means(integral, m.grid.t_s[0] - delay_s - 0.5 * h, h, len(m.seen) * self._each)
             out = np.empty_like(held)
             laws.follow(held, rate, lag_s, h, out)
             found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
