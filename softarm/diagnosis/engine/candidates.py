@@ -57,6 +57,7 @@ class Candidate:
     # Assumptions that are not fitted, such as an encoder's place.
     form: Mapping[str, float] = field(default_factory=dict)
     constant: bool = False  # the model has this parameter already, so its strength is the same everywhere
+    far: tuple[tuple[float, ...], ...] = ()  # initial u far from nominal, for a fit of all effects at once
 
     @property
     def is_missing(self) -> bool:

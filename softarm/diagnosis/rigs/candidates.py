@@ -59,7 +59,8 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
 
 def _candidate(view: RigView, effect: Effect) -> Candidate:
     parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
-    return Candidate(effect.name, view.stage, parameters, tuple(_starts(parameters, effect.parameters)))
+    far = tuple((u,) for u in view.far_starts.get(effect.name.rpartition(".")[2], ()))
+    return Candidate(effect.name, view.stage, parameters, tuple(_starts(parameters, effect.parameters)), far=far)
 
 
 def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:

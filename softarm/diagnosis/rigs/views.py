@@ -64,6 +64,7 @@ class RigView:
         restarts_few_effects: whether models with few effects are also fitted from their own starting values
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
         blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
+        far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
         driven_by: stages whose measured motion loads this stage.
@@ -76,6 +77,7 @@ class RigView:
     restarts_few_effects = False
     blocks_each = 4
     step_cost_s = 0.07e-6
+    far_starts: Mapping[str, tuple[float, ...]] = {}
     curved: Mapping[str, Array] = {}
     driven_by: frozenset[str] = frozenset()
     assumptions: tuple[str, ...] = ()

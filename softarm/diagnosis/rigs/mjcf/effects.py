@@ -8,6 +8,10 @@ from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.simulator.effect_table import Effect, shape, strength
 
+# Relative error of an actuator's gain, at least: some models state fifty times the gain of the servo.
+LEAST_GAIN = -0.998
+# Relative error of masses, at least: with less, all torques could shrink together, and no data would show it.
+LEAST_MASS = -0.5
 # Share of the usual torque: a friction that matters.
 USUAL = 0.15
 # Usual travel over which dry friction bends before it slips: rad, and as a share of a slide's travel.
@@ -112,7 +116,7 @@ def _drive(s: JointScales) -> Iterator[Effect]:
     )
     yield Effect(
         "gain",
-        (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of gain and bias"),),
+        (strength("scale", "-", 0.0, LEAST_GAIN, 4.0, 0.1, "relative error of gain and bias"),),
         "the actuator makes torque x (1 + scale)",
         "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
         plain="the actuator's gain of {stage} is off by {scale}",
@@ -140,7 +144,7 @@ def _loop(s: JointScales) -> Iterator[Effect]:
     most = 0.2 * s.travel
     yield Effect(
         "position_gain",
-        (strength("scale", "-", 0.0, -0.98, 4.0, 0.1, "relative error of kp"),),
+        (strength("scale", "-", 0.0, LEAST_GAIN, 4.0, 0.1, "relative error of kp"),),
         "the position loop is stiffer or softer: kp x (1 + scale)",
         "standard proportional position loop",
         plain="the position loop of {stage} has a gain that is off by {scale}",
@@ -234,7 +238,9 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             "arm.payload",
             "the bodies behind the joint have another mass",
             "the mass behind {stage} is off by {scale}",
-            strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of all masses and inertias behind the joint"),
+            strength(
+                "scale", "-", 0.0, LEAST_MASS, 4.0, 0.1, "relative error of all masses and inertias behind the joint"
+            ),
             name="mass",
         )
     if math.isfinite(s.payload):

@@ -57,6 +57,8 @@ OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE, LEVEL_RAD = 3e-3, 2e-3, 5e-3
 # The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
 ZERO_APART = 20
+# Relative errors of a gain at which a search may begin: models often have those of another unit or firmware.
+FAR_GAINS = -0.7, -0.9, -0.97, -0.985
 # Travels over which a model's friction may bend, in its usual value.
 GIVES = np.linspace(0.0, 4.0, 9)
 
@@ -66,6 +68,7 @@ class JointView(RigView):
 
     step_cost_s = 0.06e-6  # of an arm with many gaps, which takes three times its plan
     blocks_each = 2
+    far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
 
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""

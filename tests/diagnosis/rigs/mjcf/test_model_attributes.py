@@ -1,0 +1,100 @@
+"""Attributes of MuJoCo models that the nominal simulation of a joint must contain, recorded with MuJoCo itself."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.diagnose import examine, view_of
+
+ROBOT = (Path(__file__).parents[4] / "examples/mujoco/robot.xml").read_text()
+STAGE = """kind: mujoco
+channels:
+  measured:
+    time: {source: t, unit: s}
+    columns: {shoulder: {source: shoulder, unit: rad}, elbow: {source: elbow, unit: rad}}
+  command:
+    time: {source: t, unit: s}
+    columns: {shoulder_servo: {source: shoulder_c, unit: rad}, elbow_servo: {source: elbow_c, unit: rad}}
+model: {mjcf: robot.xml}
+trials: [{files: motion.csv}]
+"""
+ELBOW, SERVO, FORE = '<joint name="elbow" range="-2 2"', 'joint="elbow"/>', '<body name="fore"'
+TENDON = (
+    '<tendon><fixed name="band" {}><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-1"/></fixed></tendon>'
+)
+CHANGES = {
+    "damping that grows with speed": (ELBOW, f'{ELBOW} damping="0.05 0.4"'),
+    "stiffness that grows with the angle": (ELBOW, f'{ELBOW} stiffness="1 0 6"'),
+    "spring with a rest angle": (ELBOW, f'{ELBOW} stiffness="4" springref="0.5"'),
+    "damping of the actuator": (SERVO, 'joint="elbow" damping="2"/>'),
+    "rotor of the actuator": (SERVO, 'joint="elbow" armature="0.15"/>'),
+    "first-order actuator": (SERVO, 'joint="elbow" timeconst="0.05"/>'),
+    "late actuator": (SERVO, 'joint="elbow" delay="0.03" nsample="400"/>'),
+    "carried weight": (FORE, '<body name="fore" gravcomp="1"'),
+    "weight carried by the actuator": (
+        FORE,
+        '<body name="fore" gravcomp="1"',
+        ELBOW,
+        f'{ELBOW} actuatorgravcomp="true"',
+    ),
+    "elastic band": ("<actuator>", TENDON.format('stiffness="4" damping="0.3"') + "<actuator>"),
+    "water": ("<option ", '<option density="1000" viscosity="0.5" '),
+}
+
+
+def changed(*pairs):
+    """Return the robot's file with some parts replaced."""
+    text = ROBOT
+    for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    return text
+
+
+def record(text, file):
+    """Simulate five seconds at 10 kHz and write them at 100 Hz, with an encoder of 0.1 mrad."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = 1e-4
+    data, random, rows = mujoco.MjData(model), np.random.default_rng(1), ["t,shoulder_c,elbow_c,shoulder,elbow"]
+    held = np.repeat(random.uniform(-0.6, 0.6, (10, 2)), 50, axis=0)
+    sines = 0.4 * np.sin(2 * np.pi * np.outer(np.arange(500) / 100, [0.9, 1.3]))
+    data.act[:] = (held + sines)[0, 1]  # of a first-order actuator at rest
+    for k, command in enumerate(held + sines):
+        data.ctrl[:] = command
+        values = [*command, *np.round(data.qpos, 4)]
+        rows.append(",".join(f"{value:.6g}" for value in (k / 100, *values)))
+        mujoco.mj_step(model, data, nstep=100)
+    file.write_text("\n".join(rows))
+
+
+def gap(folder, text):
+    """Return the RMS of the elbow's gap for a model of the robot, rad."""
+    (folder / "robot.xml").write_text(text)
+    (folder / "stage.yaml").write_text(STAGE)
+    (trial,) = (trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "elbow")
+    return float(np.sqrt(np.nanmean(view_of([trial])[0].gap([{}]) ** 2)))
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_joint_moves_as_in_mujoco(tmp_path, name):
+    right = changed(*CHANGES[name])
+    record(right, tmp_path / "motion.csv")
+    left = gap(tmp_path, right)
+    assert left < 1.2e-3
+    assert gap(tmp_path, ROBOT) > 4 * left
+
+
+def test_a_servo_with_a_fiftieth_of_the_models_gain_is_found(tmp_path):
+    """Each of its differences alone looks like another effect: a lag, a rate limit, a spring."""
+    loop, passive = 'kp="30" kv="1.2" forcerange="-8 8"', 'damping="0.05" armature="0.01" frictionloss="0.05"'
+    weak = 'kp="12" kv="0.05" forcerange="-3 3"', 'damping="0.4" armature="0.04" frictionloss="0.2"'
+    record(changed(loop, weak[0], passive, weak[1]), tmp_path / "motion.csv")
+    before = gap(tmp_path, changed(loop, 'kp="600" kv="2.7" forcerange="-8 8"'))
+    found = examine([trial for trial in tables.read(tmp_path / "stage.yaml") if trial.stage.name == "elbow"])
+    sizes = {effect.name: effect.parameters for effect in found.named}
+    assert sizes["elbow.gain"]["scale"].value == pytest.approx(-0.98, abs=0.005)
+    assert sizes["elbow.ceiling"]["limit"].value == pytest.approx(3.0, rel=0.2)
+    assert found.answer.after < 0.05 * before
