@@ -67,6 +67,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "needs": (*_TRAINING, "softarm/common/braking.py"),
     "planning": (*_TRAINING, "softarm/common/braking.py", "benchmarks/planning.py"),
+    "real": (*_DIAGNOSIS, "benchmarks/real_arm.py"),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from softarm.evaluation import faults as worst
 from softarm.evaluation.closing.outcomes import TITLES
 from softarm.evaluation.entries import CEILING
@@ -365,6 +367,22 @@ def replanning(read: Read) -> str:
     return markdown(("flights", "reached", "wall time (ms)", "processor time (ms)", "rounds"), rows)
 
 
+def real_arm(read: Read) -> str:
+    """Return the errors of three models on held-out recordings of a real arm, and the times of the fits."""
+    found = read("real-arm")["held_out"]
+    models = ("public", "sysid", "diagnosis")
+    joints = list(next(iter(found.values()))["public_rad"])
+    rows = [
+        (name, *(" / ".join(f"{1000 * row[f'{model}_rad'][joint]:.0f}" for model in models) for joint in joints))
+        for name, row in found.items()
+    ]
+    seconds = " / ".join(
+        f"{np.mean([row[f'{model}_s']['wall'] for row in found.values()]):.0f}" for model in models[1:]
+    )
+    head = ("held-out recording", *(f"{joint} (mrad)" for joint in joints))
+    return f"{markdown(head, rows)}\nMean time of the fit on two cores, mujoco.sysid / diagnosis: {seconds} s.\n"
+
+
 def closing(read: Read) -> str:
     """Each fault of the independent robot: percent and stops of each way, and whether one returns to the level."""
     found, rows = read("closing"), []
@@ -466,6 +484,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "closing": closing,
     "needs": needs,
     "planning": planning,
+    "real-arm": real_arm,
     "replanning": replanning,
     "blind": blind,
     "blind-methods": blind_methods,
