@@ -28,8 +28,7 @@ from softarm.reality.mechanisms.cases import draw_and_write
 # Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
 # that no effect expresses.
 SHARES = {"single": 0.2, "half": 0.15, "two": 0.15, "whole": 0.1, "none": 0.25, "unknown": 0.15}
-# Confidence from which a wrong name counts as sure.
-SURE = 0.8
+OUTCOMES = ("right", "set", "calibrated", "part", "silent", "wrong", "failed")
 
 
 def categories(count: int, random: np.random.Generator) -> list[str]:
@@ -58,7 +57,10 @@ def _record(case: tuple[int, str], folder: Path, seed: int, kinds: Sequence[str]
 
 
 def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
-    """Return right, wrong, part (of two causes), set (several names, the right one among them), silent or failed."""
+    """Return right, wrong, part (of two causes), set (of names that hold the right one), calibrated, silent or failed.
+
+    An answer is `calibrated` if every cause that it does not name is a parameter of its calibration, within tolerance.
+    """
     verdict = answer["verdict"]
     if verdict is None:
         return "failed"
@@ -72,6 +74,9 @@ def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
     if any(not any(group & cause for cause in known) for group in groups):
         return "wrong"
     met = [cause for cause in known if any(group & cause for group in groups)]
+    tuned = {each["name"].rpartition(".")[0] for each in verdict["calibration"]}
+    if len(met) < len(known) and all(cause & tuned for cause in known if cause not in met):
+        return "calibrated"
     if not met:
         return "silent"
     if len(met) < len(known):
@@ -91,8 +96,8 @@ def joint_right(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | N
 def table(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> str:
     """Return outcomes by category as a table."""
     rows = [
-        "| | cases | right | set | part | silent | wrong | failed | right joint |",
-        "|---|---|---|---|---|---|---|---|---|",
+        f"| | cases | {' | '.join(OUTCOMES)} | right joint |",
+        f"|---|---|{'---|' * len(OUTCOMES)}---|",
     ]
     for category in ("all", *SHARES):
         own = [(t, a) for t, a in cases if category in ("all", t["category"])]
@@ -100,7 +105,7 @@ def table(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> str:
             continue
         counts = Counter(outcome(t, a) for t, a in own)
         places = [right for t, a in own if (right := joint_right(t, a)) is not None]
-        cells = [counts[name] for name in ("right", "set", "part", "silent", "wrong", "failed")]
+        cells = [counts[name] for name in OUTCOMES]
         rows.append(f"| {category} | {len(own)} | {' | '.join(map(str, cells))} | {sum(places)} of {len(places)} |")
     return "\n".join(rows)
 

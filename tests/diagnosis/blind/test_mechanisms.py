@@ -10,9 +10,11 @@ TILTED = {"joints": ["elbow", "wrist"], "fault": "tilted", "names": ["tilt"]}
 COGGING = {"joints": ["elbow"], "fault": "cogging", "names": []}
 
 
-def answer(*groups, verdict="named", stage="elbow"):
+def answer(*groups, verdict="named", stage="elbow", tuned=()):
     effects = [{"name": first, "equivalents": rest, "confidence": 0.9} for first, *rest in groups]
-    return {"verdict": {"verdict": verdict, "effects": effects, "where": {"stage": stage}}, "seconds": 1.0}
+    calibration = [{"name": name} for name in tuned]
+    found = {"verdict": verdict, "effects": effects, "where": {"stage": stage}, "calibration": calibration}
+    return {"verdict": found, "seconds": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -22,6 +24,9 @@ def answer(*groups, verdict="named", stage="elbow"):
         ([FRICTION], answer(["wrist.coulomb_friction"]), "wrong"),
         ([FRICTION], answer(["elbow.damping", "elbow.coulomb_friction"]), "set"),
         ([FRICTION], answer(verdict="unknown"), "silent"),
+        ([FRICTION], answer(verdict="none", tuned=["elbow.coulomb_friction.torque"]), "calibrated"),
+        ([FRICTION], answer(verdict="none", tuned=["elbow.damping.viscous"]), "silent"),
+        ([FRICTION, LATE], answer(["wrist.latency"], tuned=["elbow.coulomb_friction.torque"]), "calibrated"),
         ([LATE], answer(["wrist.dead_time", "wrist.latency"]), "right"),
         ([FRICTION, LATE], answer(["elbow.coulomb_friction"]), "part"),
         ([FRICTION, LATE], answer(["elbow.coulomb_friction"], ["wrist.latency"]), "right"),

@@ -12,8 +12,9 @@ from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
 DEGREES, ALIKE = 180 / math.pi, 0.2
 # Share of a joint's range by which readings may exceed it.
 BEYOND = 0.25
-# Correlation from which two signals certainly go together, and ratio of two torques that no effect explains.
-TOGETHER, FAR = 0.6, 3.0
+# Correlations from which two signals certainly go together, and up to which they do not; ratio of two torques that no
+# effect explains.
+TOGETHER, APART, FAR = 0.6, 0.3, 3.0
 
 
 def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, needed: Array) -> Iterator[str]:
@@ -31,8 +32,11 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
     if command is None or np.ptp(command) <= 0 or np.ptp(seen) <= 0:
         return
     follows = joint.actuator is not None and joint.actuator.kp > 0
-    answer = seen if follows else needed
+    answer, other = (seen, needed) if follows else (needed, seen)
     together = float(np.corrcoef(command, answer)[0, 1])
+    if together < APART and np.ptp(other) > 0 and float(np.corrcoef(command, other)[0, 1]) > TOGETHER:
+        yield f"{where}: {_other_kind(joint, follows)}"
+        return
     name = "moves against its command" if follows else "needs the opposite of the torque that it was given"
     if together < -TOGETHER:
         yield f"{where}: {joint.name} {name}; one of the two has the opposite sign: write `scale: -1` for it"
@@ -51,6 +55,20 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
             )
+
+
+def _other_kind(joint: Joint, follows: bool) -> str:
+    """Return the remedy for a torque that was given as a position, or the reverse."""
+    assert joint.actuator is not None
+    if follows:
+        return (
+            f"the command of {joint.name} resembles the torque of its motion, and its actuator {joint.actuator.name} "
+            f"takes positions; move the column to `torque`, as {joint.name}"
+        )
+    return (
+        f"the command of {joint.name} resembles its position, and its actuator {joint.actuator.name} takes torques; "
+        "name the column of the torques, or make it a `position` actuator in the model"
+    )
 
 
 def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:

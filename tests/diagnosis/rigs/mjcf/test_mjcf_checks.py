@@ -1,5 +1,7 @@
 """Wrong descriptions of a mechanism are reported before the fit, each with its remedy."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,15 @@ def test_a_wrong_description_names_its_remedy(tmp_path, recorded, robot, joint, 
 def test_a_gear_that_is_left_out_of_the_model_is_reported(tmp_path, recorded):
     with pytest.raises(TrialError, match="write the gear ratio as `gear`"):
         view(tmp_path, recorded, "leg", "hip", model=('joint="hip" gear="6"', 'joint="hip"'))
+
+
+def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_path, recorded):
+    servo = '<motor name="hip_motor" joint="hip" gear="6" ', '<position name="hip_motor" joint="hip" kp="20" kv="1" '
+    with pytest.raises(TrialError, match="resembles the torque of its motion.*move the column to `torque`, as hip"):
+        view(tmp_path, recorded, "leg", "hip", model=servo)
+    motor = re.search(r'<position name="tilt_drive"[^>]*>', ROBOTS["camera"].model.read_text())
+    with pytest.raises(TrialError, match="resembles its position, and its actuator tilt_drive takes torques"):
+        view(tmp_path, recorded, "camera", "tilt", model=(motor[0], '<motor name="tilt_drive" joint="tilt"/>'))
 
 
 def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
