@@ -63,7 +63,7 @@ def test_a_gear_that_is_left_out_of_the_model_is_reported(tmp_path, recorded):
 
 def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_path, recorded):
     servo = '<motor name="hip_motor" joint="hip" gear="6" ', '<position name="hip_motor" joint="hip" kp="20" kv="1" '
-    with pytest.raises(TrialError, match="resembles the torque of its motion.*move the column to `torque`, as hip"):
+    with pytest.raises(TrialError, match=r"resembles the torque of its motion.*move the column to `torque`, as hip"):
         view(tmp_path, recorded, "leg", "hip", model=servo)
     motor = re.search(r'<position name="tilt_drive"[^>]*>', ROBOTS["camera"].model.read_text())
     with pytest.raises(TrialError, match="resembles its position, and its actuator tilt_drive takes torques"):
