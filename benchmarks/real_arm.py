@@ -2,9 +2,9 @@
 
 mujoco.sysid fits 25 parameters that are chosen here: position gain, damping, dry friction and armature of six joints,
 and one delay of all sensors. Its gains start at 40 N m/rad, near those of the servos; from the model's own 998 it ends
-far from the recordings. The diagnosis starts from the model and chooses its effects. Both learn from the same four
-recordings. The fifth is then simulated freely from its first positions, all joints at once. Needs the extra `mujoco`
-and `pip install 'mujoco[sysid]'`.
+far from the recordings. The diagnosis starts from the model and chooses its effects; its best fit is used
+(`--best-fit`). Both learn from the same four recordings. The fifth is then simulated freely from its first positions,
+all joints at once. Needs the extra `mujoco` and `pip install 'mujoco[sysid]'`.
 
     python -m benchmarks.real_arm --data FOLDER --json FILE
 """
@@ -161,14 +161,14 @@ def _setter(joint: str, what: str) -> Callable[[Any, Any], None]:
 
 
 def diagnosed(trials: Sequence[Trial], path: Path, budget_s: float) -> tuple[Any, RuntimeEffects, Verdict]:
-    """Return the model with the findings of the diagnosis, the effects beside it, and the verdict."""
+    """Return the model with the best fits of the diagnosis, the effects beside it, and the verdict."""
     verdict = diagnose(trials, processes=cores(), budget_s=budget_s).verdict
-    patch = patched(path, verdict, calibration=True)
+    patch = patched(path, verdict, calibration=True, best_fit=True)
     with TemporaryDirectory() as folder:
         model, answer = Path(folder) / "patched.xml", Path(folder) / "verdict.json"
         model.write_text(path.read_text() if patch is None else patch.text)
         answer.write_text(verdict.model_dump_json())
-        return mujoco.MjModel.from_xml_path(str(model)), RuntimeEffects.read(answer, model), verdict
+        return mujoco.MjModel.from_xml_path(str(model)), RuntimeEffects.read(answer, model, best_fit=True), verdict
 
 
 def compare(held_out: str, trials: Sequence[Trial], path: Path, budget_s: float) -> dict[str, Any]:
@@ -194,6 +194,7 @@ def compare(held_out: str, trials: Sequence[Trial], path: Path, budget_s: float)
         "diagnosis_rad": errors(simulated(last, own, effects)),
         "sysid_parameters": parameters,
         "diagnosis_effects": [effect.name for effect in verdict.effects],
+        "best_fit": sorted({path.rpartition(".")[0] for fit in verdict.best_fit.values() for path in fit.parameters}),
         "sysid_s": sysid_s,
         "diagnosis_s": diagnosis_s,
     }

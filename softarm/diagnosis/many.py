@@ -104,18 +104,19 @@ def names(inputs: Sequence[Path]) -> dict[str, Path]:
         parts += 1
 
 
-def patch(result: Diagnosis, stage: Path | None, calibration: bool) -> str | None:
+def patch(result: Diagnosis, stage: Path | None, calibration: bool, best_fit: bool = False) -> str | None:
     """Return the nominal model with the findings as a file's text, or None if there are none.
 
     Args:
         result: Diagnosis.
         stage: stage.yaml of a rig; None for the robot.
         calibration: Whether the calibration is a part of it.
+        best_fit: Whether stages of a rig that have a best fit get that instead.
     """
     if stage is not None:
         from softarm.diagnosis.rigs.patch import patched
 
-        return patched(stage, result.verdict, calibration)
+        return patched(stage, result.verdict, calibration, best_fit)
     model = result.calibrated if calibration else result.patched
     return None if model is None else model_file.text(model)
 

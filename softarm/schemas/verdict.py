@@ -89,6 +89,17 @@ class CalibratedParameter(Estimate):
     shrink: float  # share of its stage's held-out RMS that it takes next to all others
 
 
+class BestFit(Strict):
+    """The effects that predict a stage best, where the named ones leave more of its gap.
+
+    A model for simulation, no diagnosis: their sizes differ between recordings, or stand for a cause that no effect
+    expresses.
+    """
+
+    parameters: dict[str, Quantity]  # stage.effect.parameter, calibrated ones included
+    after: Quantity  # root mean square with them; held out
+
+
 class Where(Strict):
     """Location of the gap in the causal chain; the stage is None without a gap."""
 
@@ -135,10 +146,26 @@ class Verdict(Strict):
     # Other sets of effects that explain the recordings as well as the named effects of their stages.
     equal_sets: tuple[tuple[str, ...], ...] = ()
     calibration: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
+    best_fit: dict[str, BestFit] = Field(default_factory=dict)  # by stage
     gap: Gap
     task: Task | None = None
     next_experiment: NextExperiment | None = None
     warnings: tuple[str, ...] = ()
+
+    def findings(self, calibration: bool, best_fit: bool = False) -> dict[str, tuple[float, str]]:
+        """Return the findings as a model has them: stage.effect.parameter -> value and unit.
+
+        Args:
+            calibration: whether calibrated parameters are included.
+            best_fit: whether a stage with a best fit has that instead of its names and calibration.
+        """
+        found = {each.name: (each.value, each.unit) for each in self.calibration if calibration}
+        for effect in self.effects:
+            found |= {f"{effect.name}.{name}": (of.value, of.unit) for name, of in effect.parameters.items()}
+        for stage, fit in self.best_fit.items() if best_fit else ():
+            found = {path: of for path, of in found.items() if not path.startswith(f"{stage}.")}
+            found |= {path: (of.value, of.unit) for path, of in fit.parameters.items()}
+        return found
 
     @model_validator(mode="before")
     @classmethod

@@ -3,6 +3,7 @@
 from softarm.diagnosis.rigs.scales import TrackingScales
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.schemas.verdict import (
+    BestFit,
     CalibratedParameter,
     Estimate,
     Gap,
@@ -52,8 +53,8 @@ def vocabulary(*stages):
     return {each.name: each for stage in stages for each in tracking_effects(stage, "rad", SCALES)}
 
 
-def with_parameters(effects=(), calibration=()):
-    """Return a verdict with parameters of effects and of the calibration, each as (path, value, unit)."""
+def with_parameters(effects=(), calibration=(), best_fit=()):
+    """Return a verdict with parameters of effects, calibration and best fit, each as (path, value, unit)."""
     named = {}
     for path, value, unit in effects:
         name, _, parameter = path.rpartition(".")
@@ -66,4 +67,9 @@ def with_parameters(effects=(), calibration=()):
         for path, x, unit in calibration
     )
     of = (NamedEffect(name=name, parameters=each, shrink=shrink) for name, each in named.items())
-    return verdict("named", *of, calibration=calibrated)
+    fits = {}
+    for path, value, unit in best_fit:
+        fits.setdefault(path.partition(".")[0], {})[path] = Quantity(value=value, unit=unit)
+    after = Quantity(value=1.0, unit="rad")
+    best = {stage: BestFit(parameters=each, after=after) for stage, each in fits.items()}
+    return verdict("named", *of, calibration=calibrated, best_fit=best)

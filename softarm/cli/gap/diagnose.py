@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 )
 @click.option("--calibration/--no-calibration", default=True, help="Write the calibration to the patch as well.")
 @click.option(
+    "--best-fit", is_flag=True, help="Patch of a rig: write the effects that predict best, named or not; no diagnosis."
+)
+@click.option(
     "--budget",
     "budget_s",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -55,6 +58,7 @@ def diagnose(
     report_file: Path | None,
     patch_file: Path | None,
     calibration: bool,
+    best_fit: bool,
     budget_s: float,
     limits_file: Path | None,
     out: Path | None,
@@ -91,6 +95,8 @@ def diagnose(
             f"--model is the simulator of the robot, but {stages[0]} is another rig and holds its own nominal model; "
             f"omit --model, and write the values under `model:` in {stages[0]}"
         )
+    if best_fit and (patch_file is None or not stages):
+        raise click.UsageError("--best-fit is for the patch of a stage.yaml: add --patch FILE, or omit --best-fit")
     refuse_misplaced(inputs)
     places = {"--json": json_file, "--report": report_file, "--patch": patch_file, "--limits": limits_file}
     if out is not None:
@@ -107,9 +113,9 @@ def diagnose(
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
     patched = None
     if mjcf is not None:
-        patched = _mjcf_patch(mjcf, result, calibration)
+        patched = _mjcf_patch(mjcf, result, calibration, best_fit)
     elif patch_file is not None and len(stages) < 2:
-        patched = patch(result, stages[0] if stages else None, calibration)
+        patched = patch(result, stages[0] if stages else None, calibration, best_fit)
     with writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -154,11 +160,11 @@ def _mjcf_of(inputs: tuple[Path, ...], data: Path | None) -> Path:
     return stage.file(str(stage.about.model["mjcf"]), data or inputs[0].parent)
 
 
-def _mjcf_patch(model: Path, result: "Diagnosis", calibration: bool) -> str | None:
+def _mjcf_patch(model: Path, result: "Diagnosis", calibration: bool, best_fit: bool) -> str | None:
     """Return the patched text of an MJCF file, and show the changes."""
     from softarm.diagnosis.rigs.mjcf import patch
 
-    found = patch.patched(model, result.verdict, calibration)
+    found = patch.patched(model, result.verdict, calibration, best_fit)
     if found is None:
         return None
     click.echo(found.diff.rstrip())

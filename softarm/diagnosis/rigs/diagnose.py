@@ -12,7 +12,7 @@ from softarm.common.processes import as_they_come
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of, share
-from softarm.diagnosis.answer.calibration import calibrated
+from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
@@ -36,11 +36,13 @@ from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import (
+    BestFit,
     CalibratedParameter,
     Estimate,
     Interval,
     NamedEffect,
     NextExperiment,
+    Quantity,
     Shrink,
     Verdict,
     Where,
@@ -83,6 +85,7 @@ class Finding:
     decision: Decision
     named: tuple[NamedEffect, ...]
     calibration: tuple[CalibratedParameter, ...]
+    best_fit: BestFit | None
     rivals: tuple[Rival, ...]
     following: NextExperiment | None
     held_out: HeldOut
@@ -189,6 +192,7 @@ def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings
         ),
         effects=tuple(effect for s in stages for effect in s.named),
         calibration=tuple(each for s in stages for each in s.calibration),
+        best_fit={s.answer.stage: s.best_fit for s in stages if s.best_fit is not None},
         gap=gap_of(answers),
         next_experiment=next((s.following for s in gaps if s.following is not None), None),
         warnings=tuple(dict.fromkeys(warnings)),
@@ -264,10 +268,9 @@ class _Stage:
         self.view, self.trials, self.origins, self.found = view, used.trials, used.origins, found
         self.choice, self.decision = found.choice, found.decide()
         self.fit = found.named(self.decision)
-        units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
-        self.calibrated = calibrated(
-            found.setup, found.verdict_problem, found.plain, self.fit, lambda path: units.get(path, PURE)
-        )
+        self._units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
+        self.calibrated = self._calibrated(self.fit)
+        self.best_fit = self._best_fit()
         self.nominal: Array = view.gap([{}])[0].astype(float)
         self.without = found.without_each(self.fit)
         self.left_squares = self._squares(self.fit)
@@ -285,12 +288,35 @@ class _Stage:
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
             calibration=self.calibrated.parameters,
+            best_fit=self.best_fit,
             rivals=rivals.by_share(found, decision),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
             held_out=found.setup.held_out,
             vocabulary=view.effects,
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
+        )
+
+    def _calibrated(self, fit: Fit) -> Calibrated:
+        """Return the calibration next to the effects of a fit."""
+        found = self.found
+        return calibrated(found.setup, found.verdict_problem, found.plain, fit, self._unit)
+
+    def _unit(self, path: str) -> str:
+        return self._units.get(path, PURE)
+
+    def _best_fit(self) -> BestFit | None:
+        """Return the effects that the search chose, if they predict more than the named ones among them."""
+        chosen, stage = self.choice.chosen, self.view.stage
+        if self.decision.kind not in ("incomplete", "unknown") or len(self.fit.effects) == len(chosen.effects):
+            return None
+        tuned = self._calibrated(chosen)
+        if tuned.rms[stage] >= self.calibrated.rms[stage]:
+            return None
+        values = {path: x for path, x in {**tuned.values, **chosen.point}.items() if math.isfinite(x)}
+        return BestFit(
+            parameters={path: Quantity(value=x, unit=self._unit(path)) for path, x in values.items()},
+            after=Quantity(value=tuned.rms[stage], unit=self.view.unit),
         )
 
     def _answer(self) -> StageAnswer:
@@ -374,6 +400,12 @@ class _Stage:
             found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
         found += rivals.not_named(self.choice, self.decision)
         found += rivals.not_rated(self.decision)
+        if self.best_fit is not None:
+            left = self.best_fit.after.value / rms(self.nominal)
+            found.append(
+                f"{stage}: the best fit ({', '.join(name.partition('.')[2] for name in self.choice.chosen.names)}) "
+                f"leaves {100 * left:.0f} % of the gap, held out; a model, no diagnosis: --patch FILE --best-fit writes it"
+            )
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
         if self.decision.noise:

@@ -38,9 +38,19 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
     named = tuple(_effect(effect, units.get(effect.name.rpartition(".")[0], {})) for effect in verdict.effects)
     own = {path: _own(unit, _of(path, units)) for path, unit in diagnosis.units.items()}
     calibration = tuple(_scaled(each, own.get(each.name, (each.unit, 1.0))) for each in verdict.calibration)
+    best_fit = {
+        stage: fit.model_copy(
+            update={
+                "parameters": {p: _scaled(of, own.get(p, (of.unit, 1.0))) for p, of in fit.parameters.items()},
+                "after": _scaled(fit.after, _own(fit.after.unit, units.get(stage, {}))),
+            }
+        )
+        for stage, fit in verdict.best_fit.items()
+    }
+    found = {"gap": gap, "effects": named, "calibration": calibration, "best_fit": best_fit}
     return replace(
         diagnosis,
-        verdict=verdict.model_copy(update={"gap": gap, "effects": named, "calibration": calibration}),
+        verdict=verdict.model_copy(update=found),
         overlays=tuple(_converted(each, _CURVES, units) for each in diagnosis.overlays),
         regimes=tuple(_converted(each, _RMS, units) for each in diagnosis.regimes),
         rivals=tuple(replace(rival, parameters=_values(rival.parameters, own)) for rival in diagnosis.rivals),

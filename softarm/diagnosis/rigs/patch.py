@@ -17,17 +17,17 @@ ABSENT = 1e12
 _LINK = re.compile(r"(inertia|mass)(\d+)")  # calibrated change of one link of a chain, relative
 
 
-def patched(path: Path, verdict: Verdict, calibration: bool) -> str | None:
+def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = False) -> str | None:
     """Return a stage.yaml with the findings of its diagnosis, or None if there are none.
 
     Args:
         path: stage.yaml that was diagnosed.
         verdict: its verdict, in the units of the file's columns.
         calibration: whether calibrated parameters are written as well.
+        best_fit: whether stages with a best fit get that instead.
     """
     data: dict[str, Any] = yaml_lines.read(path, "").data
-    found = {each.name: each.value for each in verdict.calibration} if calibration else {}
-    found |= {f"{each.name}.{name}": of.value for each in verdict.effects for name, of in each.parameters.items()}
+    found = {path: value for path, (value, _) in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
     (first, *_) = stage_file.load(path)

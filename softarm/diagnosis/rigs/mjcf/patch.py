@@ -35,17 +35,16 @@ class MjcfPatch:
     left_out: tuple[str, ...]  # findings that the file cannot express, each with its value
 
 
-def patched(path: Path, verdict: Verdict, calibration: bool) -> MjcfPatch | None:
+def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = False) -> MjcfPatch | None:
     """Return an MJCF file with the findings of its diagnosis, or None if there are none.
 
     Args:
         path: MJCF file.
         verdict: its verdict.
         calibration: whether calibrated parameters are written as well.
+        best_fit: whether joints with a best fit get that instead.
     """
-    found = {each.name: standard(each.value, each.unit) for each in verdict.calibration if calibration}
-    for effect in verdict.effects:
-        found |= {f"{effect.name}.{name}": standard(of.value, of.unit) for name, of in effect.parameters.items()}
+    found = {path: standard(*of) for path, of in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
     before = path.read_text()

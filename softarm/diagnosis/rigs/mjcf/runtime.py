@@ -82,12 +82,14 @@ class RuntimeEffects:
     dry: Array  # [J], dry friction of the model
 
     @classmethod
-    def read(cls, verdict: Path, model: Path) -> "RuntimeEffects":
+    def read(cls, verdict: Path, model: Path, *, calibration: bool = True, best_fit: bool = False) -> "RuntimeEffects":
         """Return the effects of a verdict.json that its patched model cannot hold.
 
         Args:
             verdict: file that `softarm diagnose --json` wrote.
             model: MJCF file that `softarm diagnose --patch` wrote.
+            calibration: whether calibrated parameters are included, as in the patch.
+            best_fit: whether joints with a best fit have that instead, as in the patch.
 
         Raises:
             TrialError: the model cannot be read, or lacks a joint of the verdict.
@@ -95,14 +97,17 @@ class RuntimeEffects:
         robot = mechanism(model)
         joints = tuple(robot.joints.values())
         values = {name: np.full(len(joints), default, float) for name, default in Parameters._field_defaults.items()}
-        intervals = {}
-        for effect in Verdict.model_validate_json(verdict.read_bytes()).effects:
+        found, intervals = Verdict.model_validate_json(verdict.read_bytes()), {}
+        for path, of in found.findings(calibration, best_fit).items():
+            stage, _, name = path.partition(".")
+            if field := _FIELDS.get(name):
+                values[field][joints.index(robot.joint(stage))] = standard(*of)
+        for effect in found.effects:
             stage, _, name = effect.name.partition(".")
             place = joints.index(robot.joint(stage))
-            for parameter, of in effect.parameters.items():
-                if field := _FIELDS.get(f"{name}.{parameter}"):
-                    values[field][place] = standard(of.value, of.unit)
-                    intervals[field, place] = standard(of.low, of.unit), standard(of.high, of.unit)
+            for parameter, size in effect.parameters.items():
+                if (field := _FIELDS.get(f"{name}.{parameter}")) and not (best_fit and stage in found.best_fit):
+                    intervals[field, place] = standard(size.low, size.unit), standard(size.high, size.unit)
         delays = [0.0, *values["dead_time_s"], *values["latency_s"]]
         delays += [high for (field, _), (_, high) in intervals.items() if field in ("dead_time_s", "latency_s")]
         depth = int(np.ceil(max(delays) / robot.step_s)) + 2

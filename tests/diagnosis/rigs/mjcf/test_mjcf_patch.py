@@ -107,3 +107,19 @@ def test_the_calibration_is_left_out_on_request():
     only = verdict(calibration=[("elbow.damping.viscous", 0.16, "N m s/rad")])
     assert patch.patched(ARM, only, calibration=False) is None
     assert 'damping="0.16"' in patch.patched(ARM, only, calibration=True).text
+
+
+def test_a_best_fit_takes_the_place_of_its_joints_findings_on_request():
+    found = verdict(
+        [("elbow.damping.viscous", 0.5, "N m s/rad"), ("wrist.damping.viscous", 0.3, "N m s/rad")],
+        [("elbow.armature.inertia", 0.02, "kg m^2")],
+        [("elbow.coulomb_friction.torque", 140.0, "mN m")],
+    )
+    named, best = (patch.patched(ARM, found, calibration=True, best_fit=on) for on in (False, True))
+    assert 'damping="0.5"' in named.text
+    assert 'armature="0.02"' in named.text
+    assert "0.14" not in named.text
+    assert 'frictionloss="0.14"' in best.text
+    assert "0.5" not in best.diff
+    assert 'armature="0.02"' not in best.text
+    assert 'damping="0.3"' in best.text

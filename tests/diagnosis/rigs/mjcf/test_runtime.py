@@ -9,7 +9,7 @@ from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
 from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, travelled
-from tests.diagnosis.verdicts import effect, verdict
+from tests.diagnosis.verdicts import effect, verdict, with_parameters
 
 STEPS = 1500
 COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(STEPS)))
@@ -101,6 +101,25 @@ def test_a_batch_of_robots_is_drawn_within_the_intervals(tmp_path):
     for k in range(20):
         state, seen = many.measure(state, np.full((500, 1), k * 1.0))
     assert seen == pytest.approx(19 - many.parameters.latency_s / H)
+
+
+def test_calibration_and_best_fit_are_read_as_the_patch_has_them(tmp_path):
+    file, model = written(tmp_path, SERVO.format(damping=0.05, dry=0.02, kp=20, limit=10))
+    found = with_parameters(
+        [("elbow.deadband.width", 0.08, "rad")],
+        [("elbow.dead_time.delay", 3.0, "ms")],
+        [("elbow.backlash.gap", 0.05, "rad")],
+    )
+    file.write_text(found.model_dump_json())
+
+    def read(**choice):
+        read = RuntimeEffects.read(file, model, **choice)
+        p = read.parameters
+        return *(float(each[0]) for each in (p.deadband, p.dead_time_s, p.backlash)), len(read.intervals)
+
+    assert read() == (0.08, 0.003, 0.0, 1)
+    assert read(calibration=False) == (0.08, 0.0, 0.0, 1)
+    assert read(best_fit=True) == (0.0, 0.0, 0.05, 0)
 
 
 def test_a_verdict_of_another_robot_is_refused(tmp_path):
