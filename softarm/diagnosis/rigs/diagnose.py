@@ -306,14 +306,14 @@ class _Stage:
         return self._units.get(path, PURE)
 
     def _best_fit(self) -> BestFit | None:
-        """Return the effects that the search chose, if they predict more than the named ones among them."""
-        chosen, stage = self.choice.chosen, self.view.stage
-        if self.decision.kind not in ("incomplete", "unknown") or len(self.fit.effects) == len(chosen.effects):
+        """Return the effects that predict best if the named ones, which leave a gap, predict less."""
+        if self.decision.kind not in ("incomplete", "unknown"):
             return None
-        tuned = self._calibrated(chosen)
+        stage, (fit,) = self.view.stage, self.found.held_out([self.found.search.predicting(self.choice.chosen)])
+        tuned = self._calibrated(fit)
         if tuned.rms[stage] >= self.calibrated.rms[stage]:
             return None
-        values = {path: x for path, x in {**tuned.values, **chosen.point}.items() if math.isfinite(x)}
+        values = {path: x for path, x in {**tuned.values, **fit.point}.items() if math.isfinite(x)}
         return BestFit(
             parameters={path: Quantity(value=x, unit=self._unit(path)) for path, x in values.items()},
             after=Quantity(value=tuned.rms[stage], unit=self.view.unit),
@@ -401,10 +401,11 @@ class _Stage:
         found += rivals.not_named(self.choice, self.decision)
         found += rivals.not_rated(self.decision)
         if self.best_fit is not None:
-            left = self.best_fit.after.value / rms(self.nominal)
+            left = 100 * self.best_fit.after.value / rms(self.nominal)
+            effects = ", ".join(dict.fromkeys(path.split(".")[1] for path in self.best_fit.parameters))
             found.append(
-                f"{stage}: the best fit ({', '.join(name.partition('.')[2] for name in self.choice.chosen.names)}) "
-                f"leaves {100 * left:.0f} % of the gap, held out; a model, no diagnosis: --patch FILE --best-fit writes it"
+                f"{stage}: the best fit ({effects}) leaves {left:.0f} % of the gap, held out; a model, no diagnosis: "
+                "--patch FILE --best-fit writes it"
             )
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
