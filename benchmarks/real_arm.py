@@ -9,10 +9,10 @@ all joints at once. Needs the extra `mujoco` and `pip install 'mujoco[sysid]'`.
     python -m benchmarks.real_arm --data FOLDER --json FILE
 """
 
+import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -171,8 +171,18 @@ def diagnosed(trials: Sequence[Trial], path: Path, budget_s: float) -> tuple[Any
         return mujoco.MjModel.from_xml_path(str(model)), RuntimeEffects.read(answer, model, best_fit=True), verdict
 
 
-def compare(held_out: str, trials: Sequence[Trial], path: Path, budget_s: float) -> dict[str, Any]:
-    """Return the errors of the three models on a held-out recording by joint, rad, and the seconds of both fits."""
+def compare(
+    held_out: str, trials: Sequence[Trial], path: Path, budget_s: float, before: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the errors of the three models on a held-out recording by joint, rad, and the seconds of both fits.
+
+    Args:
+        held_out: name of the recording.
+        trials: trials of all recordings.
+        path: public model.
+        budget_s: processor time of the diagnosis, s.
+        before: an earlier result, whose figures of mujoco.sysid are taken; empty to fit it.
+    """
     public = mujoco.MjModel.from_xml_path(str(path))
     joints = joints_of(public)
     training = {each.name: each for each in recordings(trials, joints)}
@@ -182,22 +192,22 @@ def compare(held_out: str, trials: Sequence[Trial], path: Path, budget_s: float)
         rms = np.sqrt(np.mean((readings - last.measured) ** 2, axis=0))
         return dict(zip(joints, map(float, rms), strict=True))
 
-    times = [_times()]
-    model, parameters = fitted([*training.values()], path)
-    times.append(_times())
+    begun = _times()
     own, effects, verdict = diagnosed([t for t in trials if recording_of(t) != held_out], path, budget_s)
-    times.append(_times())
-    sysid_s, diagnosis_s = ({"wall": b[0] - a[0], "processor": b[1] - a[1]} for a, b in pairwise(times))
-    return {
+    figures = {
         "public_rad": errors(simulated(last, public)),
-        "sysid_rad": errors(simulated(last, model, delay_s=parameters["delay"])),
         "diagnosis_rad": errors(simulated(last, own, effects)),
-        "sysid_parameters": parameters,
         "diagnosis_effects": [effect.name for effect in verdict.effects],
         "best_fit": sorted({path.rpartition(".")[0] for fit in verdict.best_fit.values() for path in fit.parameters}),
-        "sysid_s": sysid_s,
-        "diagnosis_s": diagnosis_s,
+        "diagnosis_s": _since(begun),
     }
+    if before:
+        return figures | {key: before[key] for key in ("sysid_rad", "sysid_parameters", "sysid_s")}
+    begun = _times()
+    model, parameters = fitted([*training.values()], path)
+    seconds = _since(begun)
+    errors_rad = errors(simulated(last, model, delay_s=parameters["delay"]))
+    return figures | {"sysid_rad": errors_rad, "sysid_parameters": parameters, "sysid_s": seconds}
 
 
 def joints_of(model: Any) -> list[str]:
@@ -215,12 +225,18 @@ def _times() -> tuple[float, float]:
     return time.perf_counter(), sum(os.times()[:4])
 
 
+def _since(begun: tuple[float, float]) -> dict[str, float]:
+    """Return the wall and processor time since a moment, s."""
+    return {name: end - start for name, start, end in zip(("wall", "processor"), begun, _times(), strict=True)}
+
+
 @click.command()
 @click.option("--data", type=click.Path(path_type=Path, exists=True), default=Path("../shared/data"), show_default=True)
 @click.option("--hold-out", "held", multiple=True, metavar="NAME", help="Held-out recording; again for more.  [all]")
 @click.option("--budget", "budget_s", default=120.0, show_default=True, help="Processor time of a diagnosis, s.")
+@click.option("--sysid", "earlier", type=results.FILE, help="Take the figures of mujoco.sysid from this result.")
 @results.json_option
-def main(data: Path, held: tuple[str, ...], budget_s: float, json_file: Path | None) -> None:
+def main(data: Path, held: tuple[str, ...], budget_s: float, earlier: Path | None, json_file: Path | None) -> None:
     """Compare the three models on held-out recordings.
 
     \b
@@ -229,9 +245,10 @@ def main(data: Path, held: tuple[str, ...], budget_s: float, json_file: Path | N
     """
     trials = tables.read(STAGE, data)
     names = held or tuple(dict.fromkeys(map(recording_of, trials)))
+    known = json.loads(earlier.read_text())["held_out"] if earlier is not None else {}
     found = {}
     for name in names:
-        found[name] = row = compare(name, trials, data / MODEL, budget_s)
+        found[name] = row = compare(name, trials, data / MODEL, budget_s, known.get(name, {}))
         click.echo(f"{name}: sysid {row['sysid_s']['wall']:.0f} s, diagnosis {row['diagnosis_s']['wall']:.0f} s")
         for joint in row["public_rad"]:
             shown = (f"{1000 * row[f'{who}_rad'][joint]:.0f}" for who in ("public", "sysid", "diagnosis"))

@@ -3,7 +3,7 @@
 Every comparison is between nested fits with the same nuisances, on held-out blocks.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -301,12 +301,15 @@ class Search:
         """Return every set that was fitted."""
         return [f for fits in (*self._extended.values(), *self._reduced.values()) for f in fits]
 
-    def predicting(self, chosen: Fit) -> Fit:
+    def predicting(self, chosen: Fit, without: Collection[str] = ()) -> Fit | None:
         """Return the fit with the fewest effects that predicts about as well as the best one, of all that were made.
 
-        A chosen set may lack effects that are necessary together, and the largest sets predict new motion badly.
+        A chosen set may lack effects that are necessary together, and the largest sets predict new motion badly. Fits
+        with an effect whose law is in `without` do not count; the result is None if no other is left.
         """
-        fits = [chosen, *self.fitted]
+        fits = [f for f in (chosen, *self.fitted) if not {name.rpartition(".")[2] for name in f.names} & {*without}]
+        if not fits:
+            return None
         most = NEAR * min(float(f.held_out.sum()) for f in fits)
         near = [f for f in fits if f.held_out.sum() <= most]
         return min(near, key=lambda f: (len(f.effects), self.loss(f), f.names))

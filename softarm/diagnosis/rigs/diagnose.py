@@ -309,7 +309,10 @@ class _Stage:
         """Return the effects that predict best if the named ones, which leave a gap, predict less."""
         if self.decision.kind not in ("incomplete", "unknown"):
             return None
-        stage, (fit,) = self.view.stage, self.found.held_out([self.found.search.predicting(self.choice.chosen)])
+        stage, best = self.view.stage, self.found.search.predicting(self.choice.chosen, self.view.shared)
+        if best is None or not best.effects:
+            return None
+        (fit,) = self.found.held_out([best])
         tuned = self._calibrated(fit)
         if tuned.rms[stage] >= self.calibrated.rms[stage]:
             return None

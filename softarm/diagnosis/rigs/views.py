@@ -65,6 +65,7 @@ class RigView:
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
         blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
         far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
+        shared: effects that change other stages too, so that a best fit of one stage has none of them.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
         driven_by: stages whose measured motion loads this stage.
@@ -78,6 +79,7 @@ class RigView:
     blocks_each = 4
     step_cost_s = 0.07e-6
     far_starts: Mapping[str, tuple[float, ...]] = {}
+    shared: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
     driven_by: frozenset[str] = frozenset()
     assumptions: tuple[str, ...] = ()

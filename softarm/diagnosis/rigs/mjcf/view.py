@@ -68,6 +68,7 @@ class JointView(RigView):
 
     step_cost_s = 0.06e-6  # of an arm with many gaps, which takes three times its plan
     blocks_each = 2
+    shared = frozenset(("mass", "length", "payload", "tilt"))
     far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
 
     def __init__(self, trials: Sequence[Trial]) -> None:
