@@ -306,7 +306,7 @@ class _Stage:
         return self._units.get(path, PURE)
 
     def _best_fit(self) -> BestFit | None:
-        """Return the effects that predict best if the named ones, which leave a gap, predict less."""
+        """Return the effects that predict best if the named ones, which leave a gap, predict less or change others."""
         if self.decision.kind not in ("incomplete", "unknown"):
             return None
         stage, best = self.view.stage, self.found.search.predicting(self.choice.chosen, self.view.shared)
@@ -314,7 +314,8 @@ class _Stage:
             return None
         (fit,) = self.found.held_out([best])
         tuned = self._calibrated(fit)
-        if tuned.rms[stage] >= self.calibrated.rms[stage]:
+        shares = any(name.rpartition(".")[2] in self.view.shared for name in self.fit.names)
+        if tuned.rms[stage] >= self.calibrated.rms[stage] and not shares:
             return None
         values = {path: x for path, x in {**tuned.values, **fit.point}.items() if math.isfinite(x)}
         return BestFit(
