@@ -21,7 +21,7 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
     """Yield what is certainly wrong in the description of a joint, each with its remedy.
 
     Args:
-        joint: joint of the model, with its actuator.
+        joint: joint of the model, with the actuator that drives it.
         where: file and channel, for messages.
         seen: readings, rad or m, [T].
         command: joint torque, or position of a position loop, that the actuator was sent, [T]; None without one.

@@ -1,6 +1,7 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -201,7 +202,8 @@ class JointView(RigView):
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's."""
-        joint, actuator = self._joint, self._actuator
+        actuator = self._actuator  # a measured torque has taken the place of the model's
+        joint = replace(self._joint, actuator=actuator)
         needed = [
             torque(terms.base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
             for m, terms in zip(self._motions, self._terms, strict=True)

@@ -70,6 +70,19 @@ def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_
         view(tmp_path, recorded, "camera", "tilt", model=(motor[0], '<motor name="tilt_drive" joint="tilt"/>'))
 
 
+@pytest.mark.parametrize("actuator", ['<position name="hip_motor" joint="hip" kp="20" kv="1"/>', ""])
+def test_a_measured_torque_takes_the_place_of_any_actuator(tmp_path, recorded, actuator):
+    motor = re.search(r"<motor name=\"hip_motor\"[^>]*>", ROBOTS["leg"].model.read_text())[0]
+    torque = (
+        "  torque:\n    time: {source: t, unit: s}\n    columns:\n"
+        "      hip: {source: cmd_hip, unit: N m, scale: 6}\n  command:"
+    )
+    found = view(tmp_path, recorded, "leg", "hip", ("  command:", torque), (motor, actuator))
+    assert np.sqrt(np.nanmean(found.gap([{}]) ** 2)) < 5e-3
+    with pytest.raises(TrialError, match="resembles its position, and its actuator hip takes torques"):
+        view(tmp_path, recorded, "leg", "hip", ("  command:", torque.replace("cmd_hip", "q_hip")), (motor, actuator))
+
+
 def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
     added = "source: q_tilt, unit: rad", "source: q_tilt, unit: rad, add: 3.2"
     ranged = 'name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'
