@@ -82,8 +82,7 @@ def simulated(recording: Recording, model: Any, effects: RuntimeEffects | None =
         delay_s: delay of all readings.
     """
     data = mujoco.MjData(model)
-    steps = np.arange(int(recording.measured_s[-1] / model.opt.timestep) + 2) * model.opt.timestep
-    commands = recording.held(steps)
+    steps, commands = _grid(recording, model)
     data.qpos[:], data.ctrl[:] = recording.measured[0], commands[0]
     read = np.empty((len(steps), model.nu))
     read[0] = recording.measured[0]
@@ -194,12 +193,13 @@ def compare(
 
     begun = _times()
     own, effects, verdict = diagnosed([t for t in trials if recording_of(t) != held_out], path, budget_s)
+    diagnosis_s = _since(begun)
     figures = {
         "public_rad": errors(simulated(last, public)),
         "diagnosis_rad": errors(simulated(last, own, effects)),
         "diagnosis_effects": [effect.name for effect in verdict.effects],
         "best_fit": sorted({path.rpartition(".")[0] for fit in verdict.best_fit.values() for path in fit.parameters}),
-        "diagnosis_s": _since(begun),
+        "diagnosis_s": diagnosis_s,
     }
     if before:
         return figures | {key: before[key] for key in ("sysid_rad", "sysid_parameters", "sysid_s")}
