@@ -162,9 +162,10 @@ class Verdict(Strict):
         found = {each.name: (each.value, each.unit) for each in self.calibration if calibration}
         for effect in self.effects:
             found |= {f"{effect.name}.{name}": (of.value, of.unit) for name, of in effect.parameters.items()}
-        for stage, fit in self.best_fit.items() if best_fit else ():
-            found = {path: of for path, of in found.items() if not path.startswith(f"{stage}.")}
-            found |= {path: (of.value, of.unit) for path, of in fit.parameters.items()}
+        if best_fit:
+            for stage, fit in self.best_fit.items():
+                found = {path: of for path, of in found.items() if not path.startswith(f"{stage}.")}
+                found |= {path: (of.value, of.unit) for path, of in fit.parameters.items()}
         return found
 
     @model_validator(mode="before")

@@ -27,7 +27,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         best_fit: whether stages with a best fit get that instead.
     """
     data: dict[str, Any] = yaml_lines.read(path, "").data
-    found = {path: value for path, (value, _) in verdict.findings(calibration, best_fit).items()}
+    found = {place: value for place, (value, _) in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
     (first, *_) = stage_file.load(path)

@@ -44,7 +44,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         calibration: whether calibrated parameters are written as well.
         best_fit: whether joints with a best fit get that instead.
     """
-    found = {path: standard(*of) for path, of in verdict.findings(calibration, best_fit).items()}
+    found = {place: standard(*of) for place, of in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
     before = path.read_text()
