@@ -106,7 +106,7 @@ def check_stage(file: Path, data: Path | None) -> None:
     """Read every trial and column, build each stage's view, and print their contents. Exits with 1 for mistakes."""
     from softarm.diagnosis.data import tables
     from softarm.diagnosis.data.trials import TrialError
-    from softarm.diagnosis.rigs.diagnose import view_of
+    from softarm.diagnosis.rigs.stage import view_of
 
     trials = tables.read(file, data)
     columns = ("trial", "kind", "channel", "rows", "seconds", "column", "from", "to", "unit")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from softarm.diagnosis.engine.candidates import Candidate, Coordinates, parameters_of, point_of
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, FittedParameter, parameters_of, point_of
 from softarm.diagnosis.engine.ceiling import beyond_chance, explainable, hum
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
@@ -17,7 +17,7 @@ from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
-from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.engine.work import Progress
 
@@ -37,6 +37,7 @@ class Examination:
         t: Thresholds,
         progress: Progress,
         widened: Widening = lambda fit, low, high: (low, high),
+        original: Point | None = None,
     ) -> None:
         """Search for the effects.
 
@@ -46,8 +47,9 @@ class Examination:
             t: thresholds of the system.
             progress: called with the current step and the finished share, 0 to 1.
             widened: adds the uncertainty of the laws to the interval of a fit's parameters, low and high, [p] each.
+            original: parameters of the nominal model that the views have replaced, by default none.
         """
-        self.setup, self.thresholds, self._widened = setup, t, widened
+        self.setup, self.thresholds, self._widened, self._original = setup, t, widened, original or {}
         self._intervals: dict[tuple[tuple[str, ...], Coordinates], tuple[Array, Array]] = {}
         self.stages = tuple(view.stage for view in setup.views)
         self.plain = setup.plain()
@@ -122,9 +124,23 @@ class Examination:
 
     @cached_property
     def tolerated(self) -> dict[str, float]:
-        """Return the energy of each stage that nuisances explain without any effect."""
-        raw = self.search.energies(replace(self.choice.null_model, nuisance=0 * self.choice.null_model.nuisance))
+        """Return the energy of each stage that nuisances and replaced parameters explain without any effect."""
+        raw = self.search.energies(self.nominal)
         return {s: max(raw[s] - e, 0.0) for s, e in self.choice.energies[0].items()}
+
+    @property
+    def nominal(self) -> Fit:
+        """Return the nominal model, without any effect or nuisance, as a fit."""
+        null_model, values = self.choice.null_model, np.array([*self._original.values()])
+        fixed = [FittedParameter(path, "", x, x, x, 1.0, x) for path, x in self._original.items()]
+        return replace(
+            null_model,
+            effects=(Candidate("original", self.stages[0], tuple(fixed), ()),) if fixed else (),
+            u=(tuple(values),) if fixed else (),
+            nuisance=0 * null_model.nuisance,
+            folds=np.tile(values, (len(null_model.folds), 1)),
+            halves=np.tile(values, (2, 1)),
+        )
 
     @cached_property
     def bent(self) -> dict[str, float]:

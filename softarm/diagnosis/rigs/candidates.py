@@ -1,7 +1,7 @@
 """Effects and nuisances that may be fitted to a stage of a rig (for the soft arm: `robot/candidates.py`)."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
@@ -39,7 +39,7 @@ class Falling(FittedParameter):
 def candidates(view: RigView) -> tuple[Candidate, ...]:
     """Return every effect that the stage can have, and only the first of a group of indistinguishable effects."""
     later = {name for others in view.indistinguishable.values() for name in others}
-    return tuple(_candidate(view, effect) for effect in view.effects if effect.name not in later)
+    return tuple(candidate(view, effect) for effect in view.effects if effect.name not in later)
 
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:
@@ -54,13 +54,15 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
             if local in widths and _SUMMED.get(local) not in known:
                 nominal, width = view.nominal(local), widths[local]
                 found.append(Nuisance(path, nominal, max(p.low, nominal - width), min(p.high, nominal + width)))
+    found += [Nuisance(path, size.value, size.low, size.high) for path, size in view.held.items()]
     return tuple(found)
 
 
-def _candidate(view: RigView, effect: Effect) -> Candidate:
+def candidate(view: RigView, effect: Effect) -> Candidate:
+    """Return an effect of a view as the search moves it."""
     parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
     far = tuple((u,) for u in view.far_starts.get(effect.name.rpartition(".")[2], ()))
-    return Candidate(effect.name, view.stage, parameters, tuple(_starts(parameters, effect.parameters)), far=far)
+    return Candidate(effect.name, view.stage, parameters, starts(parameters), far=far)
 
 
 def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
@@ -83,17 +85,14 @@ def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     )
 
 
-def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
-    """Yield changes of several sizes, in both directions where the bounds allow; shape parameters keep their value."""
-    seen = set()
-    for share in (*_SHARES, *(-s for s in _SHARES)):
-        u = tuple(
-            d.nominal if p.default is not None else min(max(d.nominal + share * d.size, d.low), d.high)
-            for d, p in zip(parameters, declared, strict=True)
-        )
-        if u not in seen and u != tuple(d.nominal for d in parameters):
-            seen.add(u)
-            yield u
+def starts(parameters: Sequence[FittedParameter]) -> tuple[tuple[float, ...], ...]:
+    """Return changes of several sizes, in both directions where the bounds allow; shape parameters keep their value."""
+    nominal = tuple(d.nominal for d in parameters)
+    moved = [
+        tuple(d.nominal if d.shape else min(max(d.nominal + share * d.size, d.low), d.high) for d in parameters)
+        for share in (*_SHARES, *(-s for s in _SHARES))
+    ]
+    return tuple(u for u in dict.fromkeys(moved) if u != nominal)
 
 
 def _widths(view: RigView) -> dict[str, float]:

@@ -9,6 +9,7 @@ from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.rigs.owner_units import owners
+from softarm.schemas.verdict import Interval
 from softarm.simulator.effects import Effect
 
 # Prefixes of features that hold nothing of the view's own measured channels.
@@ -66,6 +67,9 @@ class RigView:
         blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
         far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
         shared: effects that change other stages too, so that a best fit of one stage has none of them.
+        whole: effects of the whole mechanism; all stages that load the same part have them in one size.
+        held: parameters of effects of the whole mechanism that `hold` put into the nominal model, with their intervals.
+        original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
         driven_by: stages whose measured motion loads this stage.
@@ -80,6 +84,7 @@ class RigView:
     step_cost_s = 0.07e-6
     far_starts: Mapping[str, tuple[float, ...]] = {}
     shared: frozenset[str] = frozenset()
+    whole: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
     driven_by: frozenset[str] = frozenset()
     assumptions: tuple[str, ...] = ()
@@ -102,6 +107,8 @@ class RigView:
         step: resolution of the encoder, in `unit`; 0 if it has none.
         """
         self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
+        self.original: dict[str, float] = {}
+        self.held: dict[str, Interval] = {}
         self.t_s: Array = np.concatenate(t_s)
         self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
         self.measured: Array = np.concatenate(measured)
@@ -111,7 +118,8 @@ class RigView:
         swing = np.sqrt(np.nanmean((self.measured - middle) ** 2, axis=0))
         self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
         self.noise: Array = np.zeros(len(channels))
-        self.acts = frozenset(f"{e.name}.{n.name}" for e in self.effects for n in e.parameters)
+        local = [(e.name.rpartition(".")[2], n.name) for e in self.effects for n in e.parameters]
+        self.acts = frozenset(f"{owner}.{e}.{n}" for e, n in local for owner in self._owners(e))
         self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
 
     @classmethod
@@ -148,7 +156,17 @@ class RigView:
 
     def value(self, point: Point, path: str, absent: float = 0.0) -> float:
         """Return 'effect.parameter' at a point, or `absent` if the recordings cannot show its effect."""
-        return point.get(f"{self.stage}.{path}", self._known.get(path, absent))
+        for owner in self._owners(path.partition(".")[0]):
+            if (found := point.get(f"{owner}.{path}")) is not None:
+                return found
+        return self._known.get(path, absent)
+
+    def _owners(self, effect: str) -> tuple[str, ...]:
+        return (self.stage, self.part(effect)) if effect in self.whole else (self.stage,)
+
+    def part(self, effect: str) -> str:
+        """Return the part of the mechanism that has an effect of the whole."""
+        raise NotImplementedError
 
     @property
     def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
@@ -162,6 +180,18 @@ class RigView:
     def assume(self, path: str, value: float) -> None:
         """Set 'effect.parameter' of the nominal model."""
         self._known[path] = value
+
+    def hold(self, effect: str, sizes: Mapping[str, Interval]) -> None:
+        """Put an effect into the nominal model; no fit moves it beyond the intervals of its parameters.
+
+        Without sizes the effect stays as the model has it.
+        """
+        for name, size in sizes.items():
+            path = f"{effect}.{name}"
+            self.original[f"{self.stage}.{path}"] = self._known[path]
+            self.held[f"{self.stage}.{path}"] = size
+            self._known[path] = size.value
+        self.effects = tuple(each for each in self.effects if each.name != f"{self.stage}.{effect}")
 
     @property
     def tolerances(self) -> Mapping[str, float]:

@@ -1,5 +1,6 @@
 """Recordings of rigs, and the effects that a diagnosis names in them."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,10 @@ import numpy as np
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.reality.mechanisms.cases import stage_text
+from softarm.reality.mechanisms.record import ROBOTS, record, write
+
+MECHANISM_KINDS = ("multisine", "holds", "multisine")
 
 # Description of a servo in degrees, with the columns t, u and y.
 SERVO = """
@@ -23,6 +28,16 @@ def recording(name, kind, t, channels, stage):
     """Return a recording; channels: channel -> column -> values [T]; stage: its arguments."""
     series = {c: Series(t.copy(), {n: np.array(x) for n, x in columns.items()}) for c, columns in channels.items()}
     return Trial(name, kind, Path(name), series, stage=TableStage(*stage))
+
+
+def mechanism(folder, robot, truth):
+    """Record three trials of a robot with its MuJoCo model and its stage.yaml; return the latter."""
+    random = np.random.default_rng(3)
+    for number, kind in enumerate(MECHANISM_KINDS):
+        write(record(ROBOTS[robot], truth, kind, 5.0, random), folder / f"{kind}-{number}.csv")
+    shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
+    (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
+    return folder / "stage.yaml"
 
 
 def named(trials):

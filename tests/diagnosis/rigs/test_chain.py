@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from softarm.diagnosis.data.trials import Series, TableStage
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.diagnosis.rigs.stage import view_of
 from tests.diagnosis.rigs.recordings import named, recording, shipped
 
 GRAVITY = 9.81

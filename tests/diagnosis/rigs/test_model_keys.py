@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.diagnosis.rigs.stage import view_of
 from softarm.schemas.stage_model import CHANNELS, DESCRIBED, MODEL_KEYS, complaints
 from tests.diagnosis.rigs.recordings import recording
 

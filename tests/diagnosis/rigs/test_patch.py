@@ -7,7 +7,7 @@ import yaml
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs import patch
-from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.diagnosis.rigs.stage import view_of
 from tests.diagnosis.rigs.recordings import SERVO
 from tests.diagnosis.verdicts import with_parameters as found
 

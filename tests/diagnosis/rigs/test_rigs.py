@@ -11,10 +11,11 @@ from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.shooting import swing as swung
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import grid
 from softarm.diagnosis.rigs.laws import chain as law
+from softarm.diagnosis.rigs.stage import view_of
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.simulator.effects import REGISTRY
 from tests.diagnosis.rigs.recordings import named, recording, shipped

@@ -9,7 +9,8 @@ from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs import subsample
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
-from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.stage import view_of
 from softarm.diagnosis.rigs.subsample import KIND_LEAST, Stretches, most_informative, within
 from softarm.diagnosis.rigs.tracking import TrackingView
 from tests.diagnosis.rigs.test_rigs import servo, tone

@@ -70,6 +70,7 @@ class JointView(RigView):
     step_cost_s = 0.06e-6  # of an arm with many gaps, which takes three times its plan
     blocks_each = 2
     shared = frozenset(("mass", "length", "payload", "tilt"))
+    whole = frozenset(("payload", "tilt"))
     far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
 
     def __init__(self, trials: Sequence[Trial]) -> None:
@@ -111,6 +112,10 @@ class JointView(RigView):
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
+
+    def part(self, effect: str) -> str:
+        """Return the part of the mechanism that has an effect of the whole."""
+        return f"end {self._mechanism.last_link(self._joint).body}" if effect == "payload" else "base"
 
     def _unstable_s(self) -> float:
         """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
@@ -254,8 +259,9 @@ class JointView(RigView):
     @property
     def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
         """Effect -> effects that no recording of such a stage can separate from it."""
-        like_tilt = {self._like_tilt: (f"{self.stage}.tilt",)} if self._like_tilt else {}
-        return {**super().indistinguishable, **like_tilt}
+        tilt = f"{self.stage}.tilt"
+        alike = self._like_tilt and any(effect.name == tilt for effect in self.effects)
+        return {**super().indistinguishable, **({self._like_tilt: (tilt,)} if alike else {})}
 
     def _command_rate(self) -> float:
         if not self._inputs:

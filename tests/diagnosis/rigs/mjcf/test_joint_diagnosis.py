@@ -18,36 +18,23 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.rigs.candidates import candidates
-from softarm.diagnosis.rigs.diagnose import Finding, common_causes, diagnose_table, settled, view_of
+from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.view import JointView
+from softarm.diagnosis.rigs.stage import Finding, settled, view_of
 from softarm.diagnosis.rigs.subsample import cut
-from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, record, write
+from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
-from tests.diagnosis.rigs.recordings import SERVO, STAGES, shipped
+from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, mechanism, shipped
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
-KINDS = ("multisine", "holds", "multisine")
-
-
 TILT_RAD = (0.0524, -0.0349)
-
-
-def written(folder, robot, truth):
-    """Record three trials of a robot with its model and its stage.yaml."""
-    random = np.random.default_rng(3)
-    for number, kind in enumerate(KINDS):
-        write(record(ROBOTS[robot], truth, kind, 5.0, random), folder / f"{kind}-{number}.csv")
-    shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
-    (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
-    return folder / "stage.yaml"
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory):
     """A camera whose tilt axis ignores errors below 12 mrad, on a vehicle that moves."""
     law = replace(JointLaw(), dead=0.012)
-    return written(tmp_path_factory.mktemp("faulty"), "camera", Truth({"tilt": law}))
+    return mechanism(tmp_path_factory.mktemp("faulty"), "camera", Truth({"tilt": law}))
 
 
 def test_each_measured_joint_is_a_stage_of_its_own(faulty):
@@ -65,7 +52,7 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
 @pytest.fixture(scope="module")
 def swinging(tmp_path_factory):
     """Three recordings of a cart that a pole hangs from."""
-    return tables.read(written(tmp_path_factory.mktemp("swinging"), "cartpole", Truth({})))
+    return tables.read(mechanism(tmp_path_factory.mktemp("swinging"), "cartpole", Truth({})))
 
 
 def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smallest_gap(swinging):
@@ -74,7 +61,7 @@ def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smalles
     usual = view.nominal("coulomb_friction.give")
     left = np.sqrt(np.nanmean(view.gap([{}]) ** 2))
     assert usual < 0.5e-3
-    settled(view, KINDS, range(len(KINDS)))
+    settled(view, MECHANISM_KINDS, range(len(MECHANISM_KINDS)))
     assert view.nominal("coulomb_friction.give") == pytest.approx(1e-3, abs=0.6 * usual)
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 0.6 * left
 
@@ -115,7 +102,7 @@ def finding(stage, driven_by, *, kind="none", noise=False, confidence=None):
     decision = Decision(kind, (), {}, 0.0, noise=noise)
     named = (effect,) if confidence else ()
     about = SimpleNamespace(stage=stage)
-    return Finding(about, 0.0, "", decision, named, (), None, (), None, "kind", (), (), frozenset(driven_by))
+    return Finding(about, 0.0, "", decision, (), named, (), None, (), None, "kind", (), (), frozenset(driven_by))
 
 
 @pytest.mark.parametrize(
@@ -138,25 +125,11 @@ def test_a_name_is_rated_if_the_motion_that_loads_its_joint_is_explained(pole, r
     assert alone["rail"].rated(alone) is found["rail"]
 
 
-def test_a_cause_that_several_joints_may_share_is_stated():
-    def named(stage, *names):
-        about = finding(stage, (), kind="named", confidence=0.9)
-        effect, *others = names
-        first = about.named[0].model_copy(update={"name": effect, "equivalents": tuple(others)})
-        return replace(about, named=(first,))
-
-    hip, knee = named("hip", "hip.sensor_bias", "hip.tilt"), named("knee", "knee.tilt")
-    alone = named("ankle", "ankle.coulomb_friction")
-    assert list(common_causes([hip, alone])) == []
-    (text,) = common_causes([hip, knee, alone])
-    assert text.startswith("hip, knee: a base that is not level may be the one cause")
-
-
 @pytest.fixture(scope="module")
 def tilted(tmp_path_factory):
     """A camera on a base that is tilted by 3 and -2 degrees."""
     truth = Truth({}, tilt_rad=TILT_RAD)
-    return written(tmp_path_factory.mktemp("tilted"), "camera", truth)
+    return mechanism(tmp_path_factory.mktemp("tilted"), "camera", truth)
 
 
 def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tilted):
@@ -169,7 +142,7 @@ def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tilted):
 
 
 def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path):
-    trials = tables.read(written(tmp_path, "leg", Truth({})))
+    trials = tables.read(mechanism(tmp_path, "leg", Truth({})))
     for joint in ("hip", "knee", "ankle"):
         view = JointView([trial for trial in trials if trial.stage.name == joint])
         same = {name for names in view.indistinguishable.values() for name in names}

@@ -7,9 +7,9 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.rigs.diagnose import view_of
 from softarm.diagnosis.rigs.mjcf.checks import assumptions, mistakes
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.diagnosis.rigs.stage import view_of
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
 

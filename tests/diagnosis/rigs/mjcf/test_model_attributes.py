@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data import tables
-from softarm.diagnosis.rigs.diagnose import examine, view_of
+from softarm.diagnosis.rigs.stage import examine, view_of
 
 ROBOT = (Path(__file__).parents[4] / "examples/mujoco/robot.xml").read_text()
 STAGE = """kind: mujoco

@@ -1,0 +1,370 @@
+"""Diagnosis of one stage of a rig."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from softarm.common.quantity import PURE
+from softarm.diagnosis.answer import rivals
+from softarm.diagnosis.answer.assembly import StageAnswer, share
+from softarm.diagnosis.answer.calibration import Calibrated, calibrated
+from softarm.diagnosis.answer.evidence import overlays, regimes, rms
+from softarm.diagnosis.data.trials import Trial, stage_of
+from softarm.diagnosis.engine import shrink
+from softarm.diagnosis.engine.calibration import held_out_squares
+from softarm.diagnosis.engine.confidence import confidence
+from softarm.diagnosis.engine.decision import Decision, Kind
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
+from softarm.diagnosis.engine.search import SelectedEffect
+from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.work import Progress
+from softarm.diagnosis.rigs import experiments, subsample
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.chain.view import ChainView
+from softarm.diagnosis.rigs.driven_mass import DrivenMassView
+from softarm.diagnosis.rigs.mjcf.view import JointView
+from softarm.diagnosis.rigs.subsample import Stretches
+from softarm.diagnosis.rigs.tracking import TrackingView
+from softarm.diagnosis.rigs.views import RigView
+from softarm.schemas.verdict import (
+    BestFit,
+    CalibratedParameter,
+    Estimate,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Shrink,
+)
+from softarm.simulator.effects import Effect
+
+# Kind of stage -> its view. A new kind is one more line.
+VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]] = {
+    "tracking": TrackingView,
+    "driven_mass": DrivenMassView,
+    "pendulum": ChainView,
+    "chain": ChainView,
+    "mujoco": JointView,
+}
+
+# Windows in which small errors grow too much are halved at most so many times.
+HALVINGS = 3
+# With at least this many recordings, the search holds out whole recordings instead of blocks.
+TRIALS_LEAST = 4
+# Repeats of a search whose budget binds.
+RESTARTS_BOUND = 1
+_WEAK_HELD_OUT = {
+    "kind": "",
+    "trial": "held-out data are other trials of the same kind of motion; record several kinds",
+    "block": "held-out data are blocks of the same trial, which is the weakest test; record more trials",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Effect of the whole mechanism, as all stages that it loads determined it together."""
+
+    effect: str
+    sizes: Mapping[str, Interval]  # by parameter; empty if the stages together contradict the effect
+    named: NamedEffect | None = None  # the stage's entry in the verdict; None if the effect is no cause of its gap
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Result of the diagnosis of one stage."""
+
+    answer: StageAnswer
+    energy: float  # squared nominal residual over the squared noise floor
+    regime: str
+    decision: Decision
+    fitted: tuple[str, ...]  # effects of the search, named or not
+    named: tuple[NamedEffect, ...]
+    calibration: tuple[CalibratedParameter, ...]
+    best_fit: BestFit | None
+    rivals: tuple[Rival, ...]
+    following: NextExperiment | None
+    held_out: HeldOut
+    vocabulary: tuple[Effect, ...]
+    warnings: tuple[str, ...]
+    driven_by: frozenset[str]  # stages whose measured motion loads this stage
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Return whether more than noise remains of the gap."""
+        return self.decision.kind in ("unknown", "incomplete") or self.decision.noise
+
+    def rated(self, found: Mapping[str, "Finding"]) -> "Finding":
+        """Return the finding without confidences if the motion that loads its stage is doubtful; found: by stage.
+
+        A wrong encoder of a driven joint shows in the joint that carries it, where other effects resemble it.
+        """
+        doubtful = [name for name in sorted(self.driven_by & found.keys()) if found[name].is_unexplained]
+        if not doubtful or all(effect.confidence is None for effect in self.named):
+            return self
+        text = (
+            f"{self.answer.stage}: not rated, because the measured motion of {', '.join(doubtful)} loads it and has a "
+            "gap of its own without a cause"
+        )
+        named = tuple(effect.model_copy(update={"confidence": None}) for effect in self.named)
+        return replace(self, named=named, warnings=(*self.warnings, text))
+
+
+def view_of(trials: Sequence[Trial]) -> tuple[RigView, Stretches]:
+    """Return a stage's view and its windows, in the view's order."""
+    kind = VIEWS[stage_of(trials).kind]
+    windows = Stretches(tuple(trials), tuple(range(len(trials)))).cut_into(map(kind.windows, trials))
+    view: RigView = kind(windows.trials)
+    for times in range(1, HALVINGS + 1):
+        if not (growing := view.growing):
+            break
+        parts = [view.halves(i, times) if i in growing else (trial,) for i, trial in enumerate(windows.trials)]
+        windows = windows.cut_into(parts)
+        view = kind(windows.trials)
+    return view, windows
+
+
+def examine(
+    trials: Sequence[Trial],
+    held: Sequence[Held] = (),
+    budget_s: float = math.inf,
+    report: Progress = lambda text, share: None,
+) -> Finding:
+    """Diagnose one stage from its trials, or from the most informative stretches if the budget binds.
+
+    Args:
+        trials: trials of the stage.
+        held: effects of the whole mechanism, which the stage's search does not change.
+        budget_s: processor time, s.
+        report: called with the current step and the finished share, 0 to 1.
+    """
+    view, used = view_of(trials)
+    notes: tuple[str, ...] = ()
+    if (reduced := subsample.within(budget_s, view, used)) is not None:
+        used, note = reduced
+        view, notes = VIEWS[stage_of(trials).kind](used.trials), (note,)
+    for each in held:
+        view.hold(each.effect, each.sizes)
+    kinds = [t.kind for t in used.trials]
+    setup = settled(view, kinds, used.origins)
+    thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
+    search = replace(thresholds.search, refit=view.restarts_few_effects)
+    if notes:  # each repeat costs as much as the search
+        search = replace(search, restarts=RESTARTS_BOUND)
+    thresholds = replace(thresholds, search=search)
+    found = Examination(setup, candidates(view), thresholds, report, partial(widened, view), view.original)
+    finding = _Stage(view, used, found, [each.named for each in held if each.named is not None]).finding()
+    return replace(finding, warnings=(*notes, *finding.warnings))
+
+
+def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
+    """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap."""
+
+    def setup() -> Setup:
+        return Setup([view], nuisances(view), kinds, origins, view.block_s)
+
+    for path, values in view.curved.items():
+        losses = []
+        for value in values:
+            view.assume(path, value)
+            losses.append(setup().plain().losses([((), ())])[0])
+        view.assume(path, values[int(np.argmin(losses))])
+    return setup()
+
+
+def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the interval of a fit's parameters with what the view cannot resolve and the uncertainty of its laws."""
+    paths = [d.path.partition(".")[2] for each in fit.effects for d in each.parameters]
+    u = np.array([x for us in fit.u for x in us])
+    widths = view.unresolved(fit.point), view.model_uncertainty
+    flat, law = (np.array([width.get(path, 0.0) for path in paths]) for width in widths)
+    # The loss is flat over an unresolved range, so the fit's interval means nothing there.
+    below, above = (np.where(flat > 0, np.clip(half, flat, 2 * flat), half) for half in (u - low, high - u))
+    return u - np.hypot(below, law), u + np.hypot(above, law)
+
+
+def squares_of(found: Examination, fit: Fit, stage: str) -> Array:
+    """Return the squares of a stage's gap by recording, [K], or by block if there is only one recording.
+
+    Each block is simulated with the effects that were fitted without its fold, and without calibration.
+    """
+    problem, origins = found.verdict_problem, found.setup.origins
+    nominal = np.zeros((len(np.unique(problem.fold)), len(problem.nuisance_low)))
+    squares = held_out_squares(found.setup, found.plain, fit, nominal)[stage]
+    if len(set(origins)) < 2:
+        return squares
+    summed = np.zeros(max(origins) + 1)
+    np.add.at(summed, [origins[window] for window, _ in problem.blocks], squares)
+    return summed
+
+
+def estimates(found: Examination, fit: Fit, name: str) -> dict[str, Estimate]:
+    """Return the parameters of an effect of a fit, with their intervals, by the parameter's own name."""
+    at, bounds = fit.names.index(name), found.interval(fit)
+    first, sizes = sum(len(each.parameters) for each in fit.effects[:at]), {}
+    for i, (parameter, u) in enumerate(zip(fit.effects[at].parameters, fit.u[at], strict=True), first):
+        ends = [min(max(float(bound[i]), parameter.low), parameter.high) for bound in bounds]
+        values = [parameter.value(x) for x in (u, *ends)]
+        sizes[parameter.path.rpartition(".")[2]] = Estimate(
+            value=values[0], low=min(values), high=max(values), unit=parameter.unit
+        )
+    return sizes
+
+
+class _Stage:
+    """Assembly of a stage's finding from the examination of its view."""
+
+    def __init__(self, view: RigView, used: Stretches, found: Examination, known: Sequence[NamedEffect]) -> None:
+        """Prepare the figures of a stage; known: named effects that the view holds."""
+        self.view, self.trials, self.found, self.known = view, used.trials, found, known
+        self.choice, self.decision = found.choice, found.decide()
+        if known and self.decision.kind in ("none", "unknown"):
+            kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
+            self.decision = replace(self.decision, kind=kind, noise=False)
+        self.fit = found.named(self.decision)
+        self._units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
+        self.calibrated = self._calibrated(self.fit)
+        self.best_fit = self._best_fit()
+        self.nominal: Array = view.gap([view.original])[0].astype(float)
+        self.without = found.without_each(self.fit)
+        self.left_squares = squares_of(found, self.fit, view.stage)
+
+    def finding(self) -> Finding:
+        """Return the complete finding."""
+        view, decision, found = self.view, self.decision, self.found
+        answer = self._answer()
+        worst = max(regimes(view, self.nominal, None), key=lambda r: r.nominal_rms, default=None)
+        regime = "throughout" if worst is None else f"largest: {worst.name}"
+        return Finding(
+            answer=answer,
+            energy=(answer.before / answer.floor) ** 2,
+            regime=found.slow[view.stage].where if found.slow else regime,
+            decision=decision,
+            fitted=self.choice.chosen.names,
+            named=(*map(self._rated, self.known), *map(self._named, decision.selected)),
+            calibration=self.calibrated.parameters,
+            best_fit=self.best_fit,
+            rivals=rivals.by_share(found, decision),
+            following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
+            held_out=found.setup.held_out,
+            vocabulary=view.effects,
+            warnings=tuple(self._warnings()),
+            driven_by=view.driven_by,
+        )
+
+    def _calibrated(self, fit: Fit) -> Calibrated:
+        """Return the calibration next to the effects of a fit."""
+        found = self.found
+        tuned = calibrated(found.setup, found.verdict_problem, found.plain, fit, self._unit)
+        own = tuple(each for each in tuned.parameters if each.name not in self.view.held)
+        return replace(tuned, parameters=own)
+
+    def _unit(self, path: str) -> str:
+        return self._units.get(path, PURE)
+
+    def _best_fit(self) -> BestFit | None:
+        """Return the effects that predict best if the named ones, which leave a gap, predict less or change others."""
+        if self.decision.kind not in ("incomplete", "unknown"):
+            return None
+        stage, best = self.view.stage, self.found.search.predicting(self.choice.chosen, self.view.shared)
+        if best is None or not best.effects:
+            return None
+        (fit,) = self.found.held_out([best])
+        tuned = self._calibrated(fit)
+        shares = any(name.rpartition(".")[2] in self.view.shared for name in self.fit.names)
+        if tuned.rms[stage] >= self.calibrated.rms[stage] and not shares:
+            return None
+        held = {path: self.view.nominal(path.partition(".")[2]) for path in self.view.original}
+        values = {path: x for path, x in {**held, **tuned.values, **fit.point}.items() if math.isfinite(x)}
+        return BestFit(
+            parameters={path: Quantity(value=x, unit=self._unit(path)) for path, x in values.items()},
+            after=Quantity(value=tuned.rms[stage], unit=self.view.unit),
+        )
+
+    def _answer(self) -> StageAnswer:
+        view, found, fit = self.view, self.found, self.fit
+        patched = view.gap([fit.point])[0].astype(float) if fit.effects or self.known else None
+        before = after = rms(self.nominal)
+        if patched is not None:
+            after = min(math.sqrt(float(self.left_squares.sum() / np.isfinite(view.measured).sum())), before)
+        flexible, features = found.flexible.get(view.stage, (0.0, {}))
+        return StageAnswer(
+            stage=view.stage,
+            unit=view.unit,
+            before=before,
+            after=after,
+            floor=self._floor(),
+            calibrated=self.calibrated.rms[view.stage],
+            ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - flexible), after),
+            overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
+            regimes=regimes(view, self.nominal, patched),
+            unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
+            total_shrink=None if patched is None else self._shrink(found.nominal),
+        )
+
+    def _floor(self) -> float:
+        """Return the noise floor, RMS; without an effect, what the calibrated model leaves is noise."""
+        estimated = float(np.sqrt(np.mean(self.view.floor**2)))
+        if self.decision.kind != "none":
+            return estimated
+        return max(estimated, rms(self.found.null_residuals[self.view.stage].astype(float)))
+
+    def _shrink(self, less: Fit) -> Interval:
+        """Return the share of the held-out RMS that is lost with fewer effects."""
+        return share(*shrink.interval(squares_of(self.found, less, self.view.stage), self.left_squares))
+
+    def _rated(self, effect: NamedEffect) -> NamedEffect:
+        """Return a known effect, without its confidence if the stage has a gap without a cause."""
+        return effect if self.decision.kind == "named" else effect.model_copy(update={"confidence": None})
+
+    def _named(self, effect: SelectedEffect) -> NamedEffect:
+        return NamedEffect(
+            name=effect.candidate.name,
+            parameters=estimates(self.found, self.fit, effect.candidate.name),
+            # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
+            confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
+            equivalents=self._same(effect)[1:],
+            shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name])),
+        )
+
+    def _same(self, effect: SelectedEffect) -> tuple[str, ...]:
+        """Return an effect and all effects that these data, or any data of such a stage, cannot separate from it."""
+        names = (effect.candidate.name, *effect.equivalents)
+        others = (other for name in names for other in self.view.indistinguishable.get(name, ()))
+        return tuple(dict.fromkeys((*names, *others)))
+
+    def _warnings(self) -> list[str]:
+        stage, found = self.view.stage, list(self.view.warnings(self.fit.point))
+        how: HeldOut = self.found.setup.held_out
+        if self.decision.selected and _WEAK_HELD_OUT[how]:
+            found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
+        found += rivals.not_named(self.choice, self.decision)
+        found += rivals.not_rated(self.decision)
+        if self.best_fit is not None:
+            left = 100 * self.best_fit.after.value / rms(self.nominal)
+            effects = ", ".join(dict.fromkeys(path.split(".")[1] for path in self.best_fit.parameters))
+            found.append(
+                f"{stage}: the best fit ({effects}) leaves {left:.0f} % of the gap, held out; a model, no diagnosis: "
+                "--patch FILE --best-fit writes it"
+            )
+        if self.decision.structure and (self.decision.selected or self.found.slow):
+            found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
+        if self.decision.noise:
+            ratio = self._floor() / float(np.sqrt(np.mean(self.view.floor**2)))
+            found.append(
+                f"{stage}: the noise floor is what the model leaves, {ratio:.2g} times the estimate from the signals; "
+                "a flexible model explains nothing of it beyond chance on held-out data"
+            )
+        damping = self.found.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
+        if damping is not None and self.decision.selected and damping < -0.9:
+            found.append(
+                f"{stage}: with the named effects, the model's viscous friction vanishes "
+                f"(damping x {max(1 + damping, 0.0):.2g}); it had replaced them"
+            )
+        return found

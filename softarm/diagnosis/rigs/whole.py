@@ -1,0 +1,157 @@
+"""Effects of the whole mechanism: one payload or one tilted base loads several joints, and has one size for all.
+
+Each joint alone takes such an effect for one of its own, or one of its own for such an effect. All joints together
+separate them: a search over all stages at once compares one common effect with the effects that each stage showed.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from softarm.diagnosis.answer.assembly import share
+from softarm.diagnosis.data.trials import Trial, stage_of
+from softarm.diagnosis.engine import shrink
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+from softarm.diagnosis.engine.confidence import confidence
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
+from softarm.diagnosis.engine.thresholds import RIG
+from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
+from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, estimates, settled, squares_of, view_of
+from softarm.diagnosis.rigs.subsample import Stretches
+from softarm.diagnosis.rigs.views import RigView
+from softarm.schemas.verdict import NamedEffect, Shrink
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Decision of all stages together on one effect of the whole mechanism."""
+
+    held: Mapping[str, Held]  # by stage: of each stage with a gap that the effect loads
+    text: str  # what a reader of the verdict needs to know
+
+
+def judged(own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> Iterator[Judgement]:
+    """Yield a judgement on each effect of the whole mechanism that a stage showed and several stages can show.
+
+    Args:
+        own: trials of each stage.
+        found: finding of each stage on its own.
+    """
+    shown, views = {name for finding in found.values() for name in _names(finding)}, _Views(own)
+    for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
+        loaded = [stage for stage, finding in found.items() if _sizes(finding, effect)]
+        if len(loaded) < 2 or not any(f"{stage}.{effect}" in shown for stage in loaded):
+            continue
+        parts: dict[str, list[str]] = {}
+        for stage in loaded:
+            parts.setdefault(views.of(stage)[0].part(effect), []).append(stage)
+        for part, stages in parts.items():
+            if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages):
+                judgement = _judged(effect, part, [views.of(stage) for stage in stages], found)
+                if judgement is not None:
+                    yield judgement
+
+
+class _Views:
+    """Views of the stages on all their data, each made when it is needed."""
+
+    def __init__(self, own: Mapping[str, Sequence[Trial]]) -> None:
+        self._own, self._made = own, dict[str, tuple[RigView, Stretches]]()
+
+    def of(self, stage: str) -> tuple[RigView, Stretches]:
+        """Return a stage's view and windows."""
+        if stage not in self._made:
+            view, used = view_of(self._own[stage])
+            settled(view, [t.kind for t in used.trials], used.origins)
+            self._made[stage] = view, used
+        return self._made[stage]
+
+
+def _names(finding: Finding) -> Iterator[str]:
+    """Yield the named effects of a stage and those that its recordings cannot separate from them."""
+    for effect in finding.named:
+        yield from (effect.name, *effect.equivalents)
+
+
+def _judged(
+    effect: str, part: str, made: Sequence[tuple[RigView, Stretches]], found: Mapping[str, Finding]
+) -> Judgement | None:
+    """Return the judgement on one effect, or None if the stages together leave it open."""
+    views, used = [view for view, _ in made], made[0][1]
+    common = _common(effect, part, views)
+    rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name != f"{view.stage}.{effect}"]
+    free = [n for view in views for n in nuisances(view) if not n.path.startswith(f"{view.stage}.{effect}.")]
+    setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
+    joint = Examination(setup, (common, *rivals), RIG, lambda text, done: None)
+    chosen = {each.candidate.name: each for each in joint.choice.selected}
+    if common.name in chosen and _holds(joint, chosen[common.name]):
+        return _named(effect, joint, chosen[common.name], found)
+    if any(common.name in each.equivalents for each in chosen.values()):
+        return None
+    against = [view.stage for view in views if f"{view.stage}.{effect}" in _names(found[view.stage])]
+    others = ", ".join(view.stage for view in views if view.stage not in against)
+    why = f"the motion of {others} contradicts it" if others else "no one size explains all of them"
+    return Judgement(
+        {stage: Held(effect, {}) for stage in against},
+        f"{', '.join(against)}: {effect} alone would explain the gap, but {why}",
+    )
+
+
+def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
+    """Return the effect with one size for all views, with the widest bounds and the smallest usual change of any."""
+    same: dict[str, list[FittedParameter]] = {}
+    for view in views:
+        (own,) = (each for each in view.effects if each.name == f"{view.stage}.{effect}")
+        for parameter in candidate(view, own).parameters:
+            same.setdefault(parameter.path.rpartition(".")[2], []).append(parameter)
+    parameters = tuple(
+        replace(
+            min(each, key=lambda d: d.size),
+            path=f"{part}.{effect}.{name}",
+            low=min(d.low for d in each),
+            high=max(d.high for d in each),
+            tolerance=max(d.tolerance for d in each),
+        )
+        for name, each in same.items()
+    )
+    return Candidate(f"{part}.{effect}", part, parameters, starts(parameters))
+
+
+def _rivals(view: RigView, finding: Finding) -> Iterator[Candidate]:
+    """Yield the effects that a stage may have instead: fitted ones, and those like its named ones."""
+    names = {*finding.fitted, *_names(finding)}
+    return (each for each in candidates(view) if each.name in names)
+
+
+def _holds(joint: Examination, effect: SelectedEffect) -> bool:
+    """Return whether an effect certainly shrinks the gap, at no bound, and is against no stage."""
+    fit = joint.choice.chosen
+    bound = effect.candidate.at_bound(fit.u[fit.names.index(effect.candidate.name)])
+    against = min(effect.gain.energies.values()) < -RIG.gain.ignored
+    return effect.gain.low > 0 and not bound and not against
+
+
+def _named(effect: str, joint: Examination, selected: SelectedEffect, found: Mapping[str, Finding]) -> Judgement:
+    fit, name = joint.choice.chosen, selected.candidate.name
+    sizes, without = estimates(joint, fit, name), joint.without_each(fit)[name]
+    held = {}
+    for stage in (s for s in joint.stages if found[s].decision.kind != "none"):
+        own, entry = {key: sizes[key] for key in _sizes(found[stage], effect)}, None
+        if selected.gain.shares.get(stage, 0.0) > SHARE_MIN:
+            before, after = (squares_of(joint, each, stage) for each in (without, fit))
+            entry = NamedEffect(
+                name=f"{stage}.{effect}",
+                parameters=own,
+                confidence=confidence("rig", selected),
+                equivalents=tuple(other for other in selected.equivalents if other.startswith(f"{stage}.")),
+                shrink=Shrink(stage=share(*shrink.interval(before, after))),
+            )
+        held[stage] = Held(effect, own, entry)
+    shown = ", ".join(stage for stage, each in held.items() if each.named is not None)
+    return Judgement(held, f"{shown}: one {effect} explains these gaps together, with the same size for every joint")
+
+
+def _sizes(finding: Finding, effect: str) -> list[str]:
+    """Return the names of an effect's parameters, none if it does not load the stage."""
+    return [p.name for e in finding.vocabulary if e.name == f"{finding.answer.stage}.{effect}" for p in e.parameters]

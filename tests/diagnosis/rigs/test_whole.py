@@ -1,0 +1,132 @@
+"""Effects of the whole mechanism, which one joint alone cannot separate from its own."""
+
+from types import SimpleNamespace
+
+import mujoco
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.mjcf.patch import patched
+from softarm.diagnosis.rigs.mjcf.view import JointView
+from softarm.diagnosis.rigs.stage import examine
+from softarm.diagnosis.rigs.whole import judged
+from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth
+from tests.diagnosis.rigs.recordings import mechanism
+
+LOAD = 0.6  # share of the last body's mass
+
+
+def by_joint(folder, robot, truth):
+    """Return the trials of each joint of a recorded robot."""
+    own = {}
+    for trial in tables.read(mechanism(folder, robot, truth)):
+        own.setdefault(trial.stage.name, []).append(trial)
+    return own
+
+
+def shown(own, **names):
+    """Return findings of joints on their own; names: the effects of each joint that explain its gap equally."""
+    found = {}
+    for joint, (name, *others) in names.items():
+        effect = SimpleNamespace(name=f"{joint}.{name}", equivalents=tuple(f"{joint}.{each}" for each in others))
+        found[joint] = SimpleNamespace(
+            answer=SimpleNamespace(stage=joint),
+            decision=SimpleNamespace(kind="named"),
+            fitted=(effect.name,),
+            named=(effect,),
+            vocabulary=JointView(own[joint]).effects,
+        )
+    return found
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """A camera that is heavier than its model, by an item at the centre of its mass."""
+    return by_joint(tmp_path_factory.mktemp("loaded"), "camera", Truth({}, load=LOAD))
+
+
+@pytest.fixture(scope="module")
+def payload(loaded):
+    """Judgement of both joints of the loaded camera."""
+    (found,) = judged(loaded, shown(loaded, pan=("payload",), tilt=("mass", "payload", "gain")))
+    return found
+
+
+def kg_of(share):
+    """Return a share of the camera's mass, kg."""
+    return share * mujoco.MjModel.from_xml_path(str(ROBOTS["camera"].model)).body("camera").mass[0]
+
+
+@pytest.mark.slow
+def test_joints_that_a_payload_loads_have_it_in_one_size_without_rivals(payload):
+    """The tilt axis alone takes it for a heavier body or a weaker motor as well."""
+    assert payload.text.startswith("pan, tilt: one payload explains these gaps together")
+    pan, tilt = payload.held["pan"], payload.held["tilt"]
+    assert pan.sizes == tilt.sizes
+    assert (pan.named.name, pan.named.equivalents) == ("pan.payload", ())
+    assert (tilt.named.name, tilt.named.equivalents) == ("tilt.payload", ())
+    mass = pan.named.parameters["mass"]
+    assert mass.low <= kg_of(LOAD) <= mass.high
+    assert mass.value == pytest.approx(kg_of(LOAD), rel=0.1)
+    assert pan.named.shrink.stage.value > 0.7
+    assert tilt.named.shrink.stage.value > 0.7
+
+
+@pytest.mark.slow
+def test_a_joint_with_a_held_payload_has_no_gap_left(loaded, payload):
+    found = examine(loaded["tilt"], [payload.held["tilt"]])
+    assert found.decision.kind == "named"
+    assert [effect.name for effect in found.named] == ["tilt.payload"]
+    assert found.answer.after < 0.3 * found.answer.before
+    assert found.answer.total_shrink.value > 0.7
+
+
+@pytest.mark.slow
+def test_a_tilted_base_that_two_planar_joints_show_is_one(tmp_path):
+    """Each joint alone cannot separate it from a torque or a wrong zero."""
+    own = by_joint(tmp_path, "cartpole", Truth({}, tilt_rad=(0.0, 0.04)))
+    (found,) = judged(own, shown(own, rail=("torque_offset", "tilt"), hinge=("sensor_bias", "tilt")))
+    assert [held.named.name for held in found.held.values()] == ["rail.tilt", "hinge.tilt"]
+    (tilt,) = found.held["rail"].named.parameters.values()
+    assert tilt.low <= 0.04 <= tilt.high
+
+
+@pytest.mark.slow
+def test_a_torque_on_one_joint_is_no_tilted_base_if_the_other_joint_hangs_straight(tmp_path):
+    own = by_joint(tmp_path, "cartpole", Truth({"rail": JointLaw(torque=1.5)}))
+    (found,) = judged(own, shown(own, rail=("torque_offset", "tilt"), hinge=("damping",)))
+    assert found.text == "rail: tilt alone would explain the gap, but the motion of hinge contradicts it"
+    (held,) = found.held.values()
+    assert (held.effect, held.sizes, held.named) == ("tilt", {}, None)
+    view = JointView(own["rail"])
+    assert ("rail.tilt",) in view.indistinguishable.values()
+    view.hold("tilt", {})
+    assert ("rail.tilt",) not in view.indistinguishable.values()
+    assert "rail.tilt" not in {effect.name for effect in view.effects}
+
+
+def test_an_effect_that_one_joint_alone_shows_is_not_judged(loaded):
+    pan = {"pan": loaded["pan"]}
+    assert list(judged(pan, shown(pan, pan=("payload",)))) == []
+    assert list(judged(loaded, shown(loaded, pan=("damping",), tilt=("gain",)))) == []
+
+
+def diagnosed(folder, robot, truth):
+    """Return the verdict on a recorded robot."""
+    return diagnose_table(tables.read(mechanism(folder, robot, truth))).verdict
+
+
+@pytest.mark.prove
+def test_one_payload_is_named_at_every_joint_and_patched_once(tmp_path):
+    """The tilt axis alone takes it for a heavier body or a weaker motor as well."""
+    verdict = diagnosed(tmp_path, "camera", Truth({}, load=LOAD))
+    assert verdict.verdict == "named"
+    assert {e.name: e.equivalents for e in verdict.effects} == {"pan.payload": (), "tilt.payload": ()}
+    pan, tilt = (effect.parameters for effect in verdict.effects)
+    assert pan == tilt
+    for joint in ("pan", "tilt"):
+        assert verdict.gap.after[joint].value < 0.3 * verdict.gap.before[joint].value
+    assert any("pan, tilt: one payload explains these gaps together" in text for text in verdict.warnings)
+    model = mujoco.MjModel.from_xml_string(patched(tmp_path / "robot.xml", verdict, calibration=True).text)
+    assert model.body("camera_payload").mass[0] == pytest.approx(pan["mass"].value, rel=1e-5)
