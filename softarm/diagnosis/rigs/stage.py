@@ -259,11 +259,11 @@ class _Stage:
         )
 
     def _calibrated(self, fit: Fit) -> Calibrated:
-        """Return the calibration next to the effects of a fit."""
-        found = self.found
-        tuned = calibrated(found.setup, found.verdict_problem, found.plain, fit, self._unit)
-        own = tuple(each for each in tuned.parameters if each.name not in self.view.held)
-        return replace(tuned, parameters=own)
+        """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found."""
+        found, problem = self.found, self.found.verdict_problem
+        free = np.array([path not in self.view.held for path in problem.nuisance_paths])
+        problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
+        return calibrated(found.setup, problem, found.plain, fit, self._unit)
 
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)
