@@ -75,6 +75,7 @@ class NamedEffect(Strict):
     # Share of correct answers of this kind on cases of known cause; None without such cases.
     confidence: Share | None = None
     equivalents: tuple[str, ...] = ()  # indistinguishable on this data
+    shared_by: tuple[str, ...] = ()  # stages that show it in this size, as one cause; each has an entry
     shrink: Shrink
 
 
@@ -151,6 +152,12 @@ class Verdict(Strict):
     task: Task | None = None
     next_experiment: NextExperiment | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def causes(self) -> tuple[NamedEffect, ...]:
+        """The named effects; of one that several stages share, the entry of the first stage only."""
+        first = {(e.name.rpartition(".")[2], e.shared_by): e for e in reversed(self.effects)}
+        return tuple(e for e in self.effects if not e.shared_by or e is first[e.name.rpartition(".")[2], e.shared_by])
 
     def findings(self, calibration: bool, best_fit: bool = False) -> dict[str, tuple[float, str]]:
         """Return the findings as a model has them: stage.effect.parameter -> value and unit.

@@ -17,6 +17,7 @@ from softarm.diagnosis.report.words import (
     shrinks,
     sized,
     stages_of,
+    stages_with,
 )
 from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import NamedEffect
@@ -50,15 +51,15 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.verdict == "unknown":
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
-    if sum(1 + len(effect.equivalents) for effect in verdict.effects) > LISTED_MAX:
-        return f"{_counted(verdict.effects)}{more}"
-    texts = _singles_first(verdict.effects, [plain(diagnosis, effect) for effect in verdict.effects])
+    if sum(1 + len(effect.equivalents) for effect in verdict.causes) > LISTED_MAX:
+        return f"{_counted(verdict.causes)}{more}"
+    texts = _singles_first(verdict.causes, [plain(diagnosis, effect) for effect in verdict.causes])
     return sentence(f"{', '.join(texts[:-1])}, and {texts[-1]}" if len(texts) > 1 else texts[0]) + more
 
 
 def _counted(effects: Sequence[NamedEffect]) -> str:
     """Return `3 effects in servo1`, `26 effects in 6 stages` or `One of 5 effects in servo1`."""
-    stages = sorted({effect.name.rpartition(".")[0] for effect in effects})
+    stages = sorted({stage for effect in effects for stage in stages_with(effect)})
     where = stages[0] if len(stages) == 1 else f"{len(stages)} stages"
     if len(effects) == 1:
         return f"One of {1 + len(effects[0].equivalents)} effects in {where}"
@@ -72,7 +73,7 @@ def _singles_first(effects: Sequence[NamedEffect], texts: Sequence[str]) -> list
 
 
 def _cause(diagnosis: Diagnosis) -> str:
-    named = diagnosis.verdict.effects
+    named = diagnosis.verdict.causes
     more = " More of the gap could be explained." if diagnosis.verdict.verdict == "incomplete" else ""
     if diagnosis.verdict.equal_sets:
         more += f" {equal_sets(diagnosis)}"
@@ -99,15 +100,15 @@ def _by_law(effects: Sequence[NamedEffect]) -> str:
     found: dict[str, list[str]] = {}
     for effect in effects:
         laws = sorted(name.rpartition(".")[2] for name in (effect.name, *effect.equivalents))
-        found.setdefault(listed(laws, "or"), []).append(effect.name.rpartition(".")[0])
+        found.setdefault(listed(laws, "or"), []).extend(stages_with(effect))
     common = sorted(found.items(), key=lambda item: (-len(item[1]), item[0]))
     return ", ".join(f"{law} ({listed(sorted(stages))})" for law, stages in common)
 
 
 def _how_sure(diagnosis: Diagnosis) -> str:
     verdict = diagnosis.verdict
-    rated = sorted(round(100 * e.confidence) for e in verdict.effects if e.confidence is not None)
-    unrated = [effect.name for effect in verdict.effects if effect.confidence is None]
+    rated = sorted(round(100 * e.confidence) for e in verdict.causes if e.confidence is not None)
+    unrated = [effect.name for effect in verdict.causes if effect.confidence is None]
     if not rated:
         text = "The confidence of this answer has not been measured"
     else:
@@ -121,7 +122,7 @@ def _how_sure(diagnosis: Diagnosis) -> str:
 
 def _shrinks(diagnosis: Diagnosis) -> str:
     gap, stage = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
-    one, *more = diagnosis.verdict.effects
+    one, *more = diagnosis.verdict.causes
     it = "all of them" if more else one.name if one.equivalents else "it"
     places = [(stage, f"the gap of the {stage} stage")]
     if stage != "chain":

@@ -10,6 +10,7 @@ from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, equal
 from softarm.diagnosis.report.words import (
     calibration_in_words,
     corrected,
+    entries,
     interval,
     percents,
     plain,
@@ -44,7 +45,7 @@ _VALIDATION: dict[HeldOut | None, str] = {
 def result(diagnosis: Diagnosis) -> Html:
     """Return the first screen: one sentence, a card for each cause, the chain, the figures and the calibration."""
     kind = diagnosis.verdict.verdict
-    named = diagnosis.verdict.effects
+    named = diagnosis.verdict.causes
     causes = [_card(diagnosis, effect) for effect in named] if len(named) <= LISTED_MAX else []
     lead = [equal_sets(diagnosis), calibration_in_words(diagnosis)] if causes else answer(diagnosis)
     shown = kind + (", not separable" if named and all(effect.equivalents for effect in named) else "")
@@ -58,9 +59,12 @@ def result(diagnosis: Diagnosis) -> Html:
 
 def _card(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
     """Return the card of a cause: its sentence, size, confidence, and share of the gap."""
-    codes = listed((effect.name, *effect.equivalents), "or")
-    place = effect.name.rpartition(".")[0]
-    takes = f"takes {percents(effect.shrink.stage)} of the {place} gap"
+    own = entries(diagnosis, effect)
+    codes = (
+        listed([each.name for each in own]) if effect.shared_by else listed((effect.name, *effect.equivalents), "or")
+    )
+    shares = [f"{percents(each.shrink.stage)} of the {each.name.rpartition('.')[0]} gap" for each in own]
+    takes = f"takes {listed(shares)}"
     tip, at_tip = diagnosis.verdict.gap.before.get("chain"), effect.shrink.chain
     if tip is not None and at_tip is not None:
         takes += f", {percents(at_tip)} of the tip's ({quantity(at_tip.value * tip.value, tip.unit)})"

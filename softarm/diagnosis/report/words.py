@@ -119,10 +119,26 @@ def relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     return f"wrong size in the {it}"
 
 
+def stages_with(effect: NamedEffect) -> tuple[str, ...]:
+    """Return the stages that share an effect, or its own stage."""
+    return effect.shared_by or (effect.name.rpartition(".")[0],)
+
+
+def name_of(effect: NamedEffect) -> str:
+    """Return an effect's name, such as `pan.payload`, or `payload of pan and tilt` for one that stages share."""
+    return f"{effect.name.rpartition('.')[2]} of {listed(effect.shared_by)}" if effect.shared_by else effect.name
+
+
 def described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     """Return an effect with its meaning and the size of its parameters; equivalents are left out."""
     text, size = meaning(diagnosis, effect.name), sizes(effect)
-    return f"{effect.name}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+    return f"{name_of(effect)}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+
+
+def entries(diagnosis: Diagnosis, effect: NamedEffect) -> list[NamedEffect]:
+    """Return the entries of all stages that share an effect, or the effect alone."""
+    names = {f"{stage}.{effect.name.rpartition('.')[2]}" for stage in effect.shared_by} or {effect.name}
+    return [each for each in diagnosis.verdict.effects if each.name in names]
 
 
 def plain(diagnosis: Diagnosis, effect: NamedEffect) -> str:
@@ -135,7 +151,7 @@ def plain(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     declared = {parameter.name: parameter for parameter in of.parameters}
     shown = {name: _plain_size(each, declared.get(name)) for name, each in effect.parameters.items()}
     try:
-        text = of.plain.format(stage=effect.name.rpartition(".")[0], **shown)
+        text = of.plain.format(stage=listed(stages_with(effect)), **shown)
     except KeyError:  # a parameter stays neutral
         text = of.meaning
     return f"either {text}, or {listed(effect.equivalents, 'or')} looks the same" if effect.equivalents else text
@@ -178,7 +194,7 @@ def sizes(effect: NamedEffect) -> str:
 def sized(effect: NamedEffect) -> str:
     """Return an effect's name and the size of its parameters, without intervals."""
     of = ", ".join(f"{name} {size(each)}" for name, each in effect.parameters.items())
-    return f"{effect.name} ({of})" if of else effect.name
+    return f"{name_of(effect)} ({of})" if of else name_of(effect)
 
 
 def reduction(before: Quantity | None, after: Quantity | None) -> float | None:

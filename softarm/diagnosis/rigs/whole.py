@@ -40,7 +40,7 @@ def judged(own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> 
     """
     shown, views = {name for finding in found.values() for name in _names(finding)}, _Views(own)
     for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
-        loaded = [stage for stage, finding in found.items() if _sizes(finding, effect)]
+        loaded = [stage for stage in sorted(found) if _sizes(found[stage], effect)]
         if len(loaded) < 2 or not any(f"{stage}.{effect}" in shown for stage in loaded):
             continue
         parts: dict[str, list[str]] = {}
@@ -133,23 +133,32 @@ def _holds(joint: Examination, effect: SelectedEffect) -> bool:
 
 
 def _named(effect: str, joint: Examination, selected: SelectedEffect, found: Mapping[str, Finding]) -> Judgement:
+    """Return the judgement on an effect that the search over all stages has chosen."""
     fit, name = joint.choice.chosen, selected.candidate.name
     sizes, without = estimates(joint, fit, name), joint.without_each(fit)[name]
-    held = {}
-    for stage in (s for s in joint.stages if found[s].decision.kind != "none"):
-        own, entry = {key: sizes[key] for key in _sizes(found[stage], effect)}, None
-        if selected.gain.shares.get(stage, 0.0) > SHARE_MIN:
-            before, after = (squares_of(joint, each, stage) for each in (without, fit))
-            entry = NamedEffect(
-                name=f"{stage}.{effect}",
-                parameters=own,
-                confidence=confidence("rig", selected),
-                equivalents=tuple(other for other in selected.equivalents if other.startswith(f"{stage}.")),
-                shrink=Shrink(stage=share(*shrink.interval(before, after))),
-            )
-        held[stage] = Held(effect, own, entry)
-    shown = ", ".join(stage for stage, each in held.items() if each.named is not None)
-    return Judgement(held, f"{shown}: one {effect} explains these gaps together, with the same size for every joint")
+    loaded = [stage for stage in joint.stages if found[stage].decision.kind != "none"]
+    shown = tuple(stage for stage in loaded if selected.gain.shares.get(stage, 0.0) > SHARE_MIN)
+
+    def entry(stage: str) -> NamedEffect:
+        before, after = (squares_of(joint, each, stage) for each in (without, fit))
+        return NamedEffect(
+            name=f"{stage}.{effect}",
+            parameters={key: sizes[key] for key in _sizes(found[stage], effect)},
+            confidence=confidence("rig", selected),
+            equivalents=tuple(other for other in selected.equivalents if other.startswith(f"{stage}.")),
+            shared_by=shown if len(shown) > 1 else (),
+            shrink=Shrink(stage=share(*shrink.interval(before, after))),
+        )
+
+    held = {
+        stage: Held(
+            effect,
+            {key: sizes[key] for key in _sizes(found[stage], effect)},
+            entry(stage) if stage in shown else None,
+        )
+        for stage in loaded
+    }
+    return Judgement(held, f"{', '.join(shown)}: one {effect} explains the gap, with one size for all joints")
 
 
 def _sizes(finding: Finding, effect: str) -> list[str]:

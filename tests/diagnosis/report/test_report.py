@@ -280,6 +280,19 @@ def test_a_headline_is_a_plain_sentence_with_sizes_or_a_number_of_effects(effect
     assert headline(named(*effects)) == says
 
 
+def test_an_effect_that_stages_share_is_one_cause():
+    both = ("tilt", "pan")
+    pan, tilt = (DEAD_TIME.model_copy(update={"name": f"{s}.payload", "shared_by": both}) for s in ("pan", "tilt"))
+    other = DEAD_TIME.model_copy(update={"name": "pan.lag"})
+    found = diagnosis(verdict=verdict(effects=(tilt, pan, other)), nominal=None, patched=None)
+    assert found.verdict.causes == (tilt, other)
+    assert headline(found) == "Payload of tilt and pan (delay 61 ms), and pan.lag (delay 61 ms)"
+    assert "payload of tilt and pan (delay 61 ms) and pan.lag" in report.answer(found)[0]
+    page = Page(report.render(found)).words
+    assert page.count("tilt.payload and pan.payload") == 1
+    assert "74 % (70 to 78) of the tilt gap and 74 % (70 to 78) of the pan gap" in page
+
+
 def test_many_effects_are_grouped_by_law():
     many = [DEAD_TIME.model_copy(update={"name": f"servo{i}.lag"}) for i in (1, 2, 3)]
     many.append(alike(DEAD_TIME.model_copy(update={"name": "servo1.deadband"}), "servo1.backlash"))
