@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -59,7 +59,7 @@ def diagnose_table(
     for _, finding in as_they_come(work, [own[name] for name in names], processes):
         found[finding.answer.stage] = finding
         report(finding.answer.stage, first * len(found) / len(names))
-    joint = _joint(own, found, partial(_again, budget_s=budget_s / len(names)), report, processes)
+    joint = _joint(own, found, budget_s / len(names), report, processes)
     stages = [found[name].rated(found) for name in names]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
@@ -80,18 +80,17 @@ def diagnose_table(
 def _joint(
     own: Mapping[str, Sequence[Trial]],
     found: dict[str, Finding],
-    again: Callable[[tuple[Sequence[Trial], Sequence[Held]]], Finding],
+    budget_s: float,
     report: Progress,
     processes: int,
 ) -> list[str]:
     """Diagnose the stages again that share an effect of the whole mechanism, and return what a reader needs to know."""
-    judgements, held = list(judged(own, found)), dict[str, list[Held]]()
+    judgements, held = list(judged(own, found, budget_s)), dict[str, list[Held]]()
     for judgement in judgements:
         for stage, each in judgement.held.items():
             held.setdefault(stage, []).append(each)
-    for k, (_, finding) in enumerate(
-        as_they_come(again, [(own[stage], each) for stage, each in held.items()], processes)
-    ):
+    jobs = [(own[stage], each) for stage, each in held.items()]
+    for k, (_, finding) in enumerate(as_they_come(partial(_again, budget_s=budget_s), jobs, processes)):
         stage = finding.answer.stage
         found[stage] = replace(finding, vocabulary=found[stage].vocabulary)
         report(f"{stage}, with all joints", FIRST + (1 - FIRST) * k / len(held))

@@ -5,7 +5,7 @@ plan counts rollouts: the same data and budget give the same stretches, and the 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,25 +49,43 @@ class Stretches:
 
 def within(budget_s: float, view: RigView, stretches: Stretches) -> tuple[Stretches, str] | None:
     """Return the most informative stretches of a view's trials, and a note about them; None if all fit the budget."""
-    known = candidates(view)
-    whole_s = planned_s(view, known)
-    share, number = PLANNED * budget_s / whole_s, view.trial
+    whole_s = planned_s(view, candidates(view))
+    share = PLANNED * budget_s / whole_s
     if share >= 1:
         return None
-    if not view.fits_starts:
-        parts = [*pieces(view, stretches.trials, share)]
-        number = _pieces_of_samples(view, parts)
-        stretches = stretches.cut_into(parts)
-    sizes = np.bincount(number, minlength=len(stretches.trials)).astype(float)
-    kept = most_informative(information(view, known, number), sizes, [t.kind for t in stretches.trials], share)
-    used = float(sizes[kept].sum() / sizes.sum())
+    ((found,), of, used) = together(share, [view], [stretches])
     note = (
-        f"{view.stage}: to keep its budget of {budget_s:.3g} s, the diagnosis uses the {len(kept)} most informative of "
-        f"{len(sizes)} stretches, {used:.0%} of the samples; --budget sets another"
+        f"{view.stage}: to keep its budget of {budget_s:.3g} s, the diagnosis uses the {len(found.trials)} most "
+        f"informative of {of} stretches, {used:.0%} of the samples; --budget sets another"
     )
     if used * whole_s > budget_s:
         note += f"; these are the fewest of which some can be held out, and take about {used * whole_s:.2g} s"
-    return stretches.part(kept), note
+    return found, note
+
+
+def together(
+    share: float, views: Sequence[RigView], stretches: Sequence[Stretches]
+) -> tuple[list[Stretches], int, float]:
+    """Return the stretches that hold the most information about all stages, the same times for each.
+
+    Args:
+        share: share of the samples.
+        views: a view of each stage, on the same recordings.
+        stretches: their stretches.
+
+    Returns:
+        The stretches of each stage, how many there were, and their share of the samples.
+    """
+    lead, found, numbers = views[0], list(stretches), [view.trial for view in views]
+    if not lead.fits_starts:
+        seconds = lengths_s(lead, stretches[0].trials, share)
+        parts = [[cut(t, s) for t, s in zip(each.trials, seconds, strict=True)] for each in stretches]
+        numbers = [_pieces_of_samples(view, part) for view, part in zip(views, parts, strict=True)]
+        found = [each.cut_into(part) for each, part in zip(stretches, parts, strict=True)]
+    sizes = np.bincount(numbers[0], minlength=len(found[0].trials)).astype(float)
+    known = [information(view, candidates(view), number) for view, number in zip(views, numbers, strict=True)]
+    kept = most_informative(np.hstack(known), sizes, [t.kind for t in found[0].trials], share)
+    return [each.part(kept) for each in found], len(sizes), float(sizes[kept].sum() / sizes.sum())
 
 
 def planned_s(view: RigView, known: Sequence[Candidate]) -> float:
@@ -76,13 +94,13 @@ def planned_s(view: RigView, known: Sequence[Candidate]) -> float:
     return work.backward(len(known), parameters) * view.rollout_s
 
 
-def pieces(view: RigView, trials: Sequence[Trial], share: float) -> Iterator[tuple[Trial, ...]]:
-    """Yield the stretches of each recording: of a few blocks, or fewer if `KIND_LEAST` of a kind exceed a share."""
-    lengths_s = [float(t[-1] - t[0]) for t in (trial.channels["measured"].t_s for trial in trials)]
-    each_s = share * sum(lengths_s) / (KIND_LEAST * len({trial.kind for trial in trials}))
-    for trial, length_s in zip(trials, lengths_s, strict=True):
-        usual_s = max(view.blocks_each * view.block_s, view.blocks_each / 4 * length_s / PIECES_MOST)
-        yield cut(trial, min(usual_s, max(each_s, LEAST_BLOCKS * view.block_s)))
+def lengths_s(view: RigView, trials: Sequence[Trial], share: float) -> list[float]:
+    """Return the length of each recording's stretches, s: a few blocks, or less so that `KIND_LEAST` of a kind fit."""
+    wholes_s = [float(t[-1] - t[0]) for t in (trial.channels["measured"].t_s for trial in trials)]
+    each_s = share * sum(wholes_s) / (KIND_LEAST * len({trial.kind for trial in trials}))
+    least_s = max(each_s, LEAST_BLOCKS * view.block_s)
+    usual_s = (max(view.blocks_each * view.block_s, view.blocks_each / 4 * s / PIECES_MOST) for s in wholes_s)
+    return [min(usual, least_s) for usual in usual_s]
 
 
 def cut(trial: Trial, seconds: float) -> tuple[Trial, ...]:

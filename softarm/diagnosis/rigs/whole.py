@@ -4,12 +4,13 @@ Each joint alone takes such an effect for one of its own, or one of its own for 
 separate them: a search over all stages at once compares one common effect with the effects that each stage showed.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from softarm.diagnosis.answer.assembly import share
 from softarm.diagnosis.data.trials import Trial, stage_of
-from softarm.diagnosis.engine import shrink
+from softarm.diagnosis.engine import shrink, work
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
 from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.examination import Examination
@@ -18,7 +19,7 @@ from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, estimates, settled, squares_of, view_of
-from softarm.diagnosis.rigs.subsample import Stretches
+from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
 
@@ -31,12 +32,15 @@ class Judgement:
     text: str  # what a reader of the verdict needs to know
 
 
-def judged(own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> Iterator[Judgement]:
+def judged(
+    own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding], budget_s: float = math.inf
+) -> Iterator[Judgement]:
     """Yield a judgement on each effect of the whole mechanism that a stage showed and several stages can show.
 
     Args:
         own: trials of each stage.
         found: finding of each stage on its own.
+        budget_s: processor time of a judgement, s; of longer recordings the most informative stretches are used.
     """
     shown, views = {name for finding in found.values() for name in _names(finding)}, _Views(own)
     for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
@@ -48,7 +52,7 @@ def judged(own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> 
             parts.setdefault(views.of(stage)[0].part(effect), []).append(stage)
         for part, stages in parts.items():
             if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages):
-                judgement = _judged(effect, part, [views.of(stage) for stage in stages], found)
+                judgement = _judged(effect, part, [views.of(stage) for stage in stages], found, budget_s)
                 if judgement is not None:
                     yield judgement
 
@@ -75,12 +79,21 @@ def _names(finding: Finding) -> Iterator[str]:
 
 
 def _judged(
-    effect: str, part: str, made: Sequence[tuple[RigView, Stretches]], found: Mapping[str, Finding]
+    effect: str,
+    part: str,
+    made: Sequence[tuple[RigView, Stretches]],
+    found: Mapping[str, Finding],
+    budget_s: float,
 ) -> Judgement | None:
     """Return the judgement on one effect, or None if the stages together leave it open."""
     views, used = [view for view, _ in made], made[0][1]
     common = _common(effect, part, views)
     rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name != f"{view.stage}.{effect}"]
+    parameters = sum(len(each.parameters) for each in (common, *rivals))
+    planned_s = work.backward(1 + len(rivals), parameters) * sum(view.rollout_s for view in views)
+    if PLANNED * budget_s < planned_s:
+        kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made])
+        views, used = [_again(view, each) for view, each in zip(views, kept, strict=True)], kept[0]
     free = [n for view in views for n in nuisances(view) if not n.path.startswith(f"{view.stage}.{effect}.")]
     setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
     joint = Examination(setup, (common, *rivals), RIG, lambda text, done: None)
@@ -96,6 +109,14 @@ def _judged(
         {stage: Held(effect, {}) for stage in against},
         f"{', '.join(against)}: {effect} alone would explain the gap, but {why}",
     )
+
+
+def _again(view: RigView, stretches: Stretches) -> RigView:
+    """Return a view of some stretches with the assumptions of another one."""
+    found = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
+    for path in view.curved:
+        found.assume(path, view.nominal(path))
+    return found
 
 
 def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:

@@ -6,10 +6,12 @@ import mujoco
 import pytest
 
 from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs import whole
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.patch import patched
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import examine
+from softarm.diagnosis.rigs.subsample import together
 from softarm.diagnosis.rigs.whole import judged
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth
 from tests.diagnosis.rigs.recordings import mechanism
@@ -72,6 +74,19 @@ def test_joints_that_a_payload_loads_have_it_in_one_size_without_rivals(payload)
     assert mass.value == pytest.approx(kg_of(LOAD), rel=0.1)
     assert pan.named.shrink.stage.value > 0.7
     assert tilt.named.shrink.stage.value > 0.7
+
+
+@pytest.mark.slow
+def test_a_small_budget_decides_on_the_same_stretches_of_all_joints(loaded, monkeypatch):
+    used = []
+    monkeypatch.setattr(whole, "together", lambda *given: used.append(together(*given)) or used[-1])
+    (found,) = judged(loaded, shown(loaded, pan=("payload",), tilt=("mass", "payload", "gain")), budget_s=0.3)
+    ((stretches, of, share),) = used
+    pan, tilt = ([trial.channels["measured"].t_s.tolist() for trial in each.trials] for each in stretches)
+    assert pan == tilt
+    assert len(stretches[0].trials) < of
+    assert share < 0.8
+    assert found.held["tilt"].named.parameters["mass"].value == pytest.approx(kg_of(LOAD), rel=0.15)
 
 
 @pytest.mark.slow
