@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from softarm.diagnosis.answer.assembly import share
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink, work
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, parameters_of
 from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
@@ -34,27 +34,33 @@ class Judgement:
 
 def judged(
     own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding], budget_s: float = math.inf
-) -> Iterator[Judgement]:
-    """Yield a judgement on each effect of the whole mechanism that a stage showed and several stages can show.
+) -> list[Judgement]:
+    """Return a judgement on each effect of the whole mechanism that a stage showed and several stages can show.
 
     Args:
         own: trials of each stage.
         found: finding of each stage on its own.
-        budget_s: processor time of a judgement, s; of longer recordings the most informative stretches are used.
+        budget_s: processor time of the search, s; of longer recordings the most informative stretches are used.
     """
-    shown, views = {name for finding in found.values() for name in _names(finding)}, _Views(own)
+    shown = {name for finding in found.values() for name in _names(finding)}
+    views, loaded = _Views(own), dict[tuple[str, str], list[str]]()  # effect and its part -> stages
     for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
-        loaded = [stage for stage in sorted(found) if _sizes(found[stage], effect)]
-        if len(loaded) < 2 or not any(f"{stage}.{effect}" in shown for stage in loaded):
-            continue
-        parts: dict[str, list[str]] = {}
-        for stage in loaded:
-            parts.setdefault(views.of(stage)[0].part(effect), []).append(stage)
-        for part, stages in parts.items():
-            if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages):
-                judgement = _judged(effect, part, [views.of(stage) for stage in stages], found, budget_s)
-                if judgement is not None:
-                    yield judgement
+        if len(found) > 1 and any(f"{stage}.{effect}" in shown for stage in found):
+            for stage in (each for each in sorted(found) if _sizes(found[each], effect)):
+                loaded.setdefault((effect, views.of(stage)[0].part(effect)), []).append(stage)
+    loaded = {
+        (effect, part): stages
+        for (effect, part), stages in loaded.items()
+        if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages)
+    }
+    if not loaded:
+        return []
+    made = {stage: views.of(stage) for stage in sorted({stage for stages in loaded.values() for stage in stages})}
+    joint, common = _searched(made, loaded, found, budget_s)
+    judgements = (
+        _judged(effect, common[effect, part], joint, stages, found) for (effect, part), stages in loaded.items()
+    )
+    return [each for each in judgements if each is not None]
 
 
 class _Views:
@@ -78,32 +84,41 @@ def _names(finding: Finding) -> Iterator[str]:
         yield from (effect.name, *effect.equivalents)
 
 
-def _judged(
-    effect: str,
-    part: str,
-    made: Sequence[tuple[RigView, Stretches]],
+def _searched(
+    made: Mapping[str, tuple[RigView, Stretches]],
+    loaded: Mapping[tuple[str, str], Sequence[str]],
     found: Mapping[str, Finding],
     budget_s: float,
+) -> tuple[Examination, dict[tuple[str, str], Candidate]]:
+    """Search over all stages at once; return it, and the candidate of each effect of the whole mechanism."""
+    views, used = [view for view, _ in made.values()], next(iter(made.values()))[1]
+    common = {
+        (effect, part): _common(effect, part, [made[stage][0] for stage in stages])
+        for (effect, part), stages in loaded.items()
+    }
+    judged = {f"{stage}.{effect}" for (effect, _), stages in loaded.items() for stage in stages}
+    rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name not in judged]
+    known = (*common.values(), *rivals)
+    planned_s = work.backward(len(known), len(parameters_of(known))) * sum(view.rollout_s for view in views)
+    if PLANNED * budget_s < planned_s:
+        kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made.values()])
+        views, used = [_again(view, each) for view, each in zip(views, kept, strict=True)], kept[0]
+    free = [n for view in views for n in nuisances(view) if n.path.rpartition(".")[0] not in judged]
+    setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
+    return Examination(setup, known, RIG, lambda text, done: None), common
+
+
+def _judged(
+    effect: str, common: Candidate, joint: Examination, stages: Sequence[str], found: Mapping[str, Finding]
 ) -> Judgement | None:
     """Return the judgement on one effect, or None if the stages together leave it open."""
-    views, used = [view for view, _ in made], made[0][1]
-    common = _common(effect, part, views)
-    rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name != f"{view.stage}.{effect}"]
-    parameters = sum(len(each.parameters) for each in (common, *rivals))
-    planned_s = work.backward(1 + len(rivals), parameters) * sum(view.rollout_s for view in views)
-    if PLANNED * budget_s < planned_s:
-        kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made])
-        views, used = [_again(view, each) for view, each in zip(views, kept, strict=True)], kept[0]
-    free = [n for view in views for n in nuisances(view) if not n.path.startswith(f"{view.stage}.{effect}.")]
-    setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
-    joint = Examination(setup, (common, *rivals), RIG, lambda text, done: None)
     chosen = {each.candidate.name: each for each in joint.choice.selected}
     if common.name in chosen and _holds(joint, chosen[common.name]):
-        return _named(effect, joint, chosen[common.name], found)
+        return _named(effect, joint, chosen[common.name], stages, found)
     if any(common.name in each.equivalents for each in chosen.values()):
         return None
-    against = [view.stage for view in views if f"{view.stage}.{effect}" in _names(found[view.stage])]
-    others = ", ".join(view.stage for view in views if view.stage not in against)
+    against = [stage for stage in stages if f"{stage}.{effect}" in _names(found[stage])]
+    others = ", ".join(stage for stage in stages if stage not in against)
     why = f"the motion of {others} contradicts it" if others else "no one size explains all of them"
     return Judgement(
         {stage: Held(effect, {}) for stage in against},
@@ -153,12 +168,20 @@ def _holds(joint: Examination, effect: SelectedEffect) -> bool:
     return effect.gain.low > 0 and not bound and not against
 
 
-def _named(effect: str, joint: Examination, selected: SelectedEffect, found: Mapping[str, Finding]) -> Judgement:
-    """Return the judgement on an effect that the search over all stages has chosen."""
+def _named(
+    effect: str,
+    joint: Examination,
+    selected: SelectedEffect,
+    stages: Sequence[str],
+    found: Mapping[str, Finding],
+) -> Judgement | None:
+    """Return the judgement on an effect that the search over all stages has chosen, or None if no gap shows it."""
     fit, name = joint.choice.chosen, selected.candidate.name
     sizes, without = estimates(joint, fit, name), joint.without_each(fit)[name]
-    loaded = [stage for stage in joint.stages if found[stage].decision.kind != "none"]
+    loaded = [stage for stage in stages if found[stage].decision.kind != "none"]
     shown = tuple(stage for stage in loaded if selected.gain.shares.get(stage, 0.0) > SHARE_MIN)
+    if not shown:
+        return None
 
     def entry(stage: str) -> NamedEffect:
         before, after = (squares_of(joint, each, stage) for each in (without, fit))
