@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from softarm.diagnosis.engine.search import Search
 
 FITTED_MAX = 6  # sets of one size that are fitted, the best by prediction
+COMPARED_MAX = 10  # effects of a chosen set that is compared with others; the number of sets doubles with each effect
 EQUAL = 0.5  # held-out loss that counts as no difference
 
 
@@ -70,6 +71,8 @@ def _fitted(search: "Search", chosen: Fit, null_model: Fit, size: int) -> list[F
     """Return fits of the most promising sets of a size, without those at a bound or within tolerance."""
     alone = search.extended(null_model)
     fits: Sequence[Fit] = alone
+    if size > 1 and len(chosen.effects) > COMPARED_MAX:
+        return []
     if size > 1:
         options = [fit.effects[0] for fit in alone if fit.names[0] not in chosen.names]
         prediction = Prediction(search.problem, chosen, options)

@@ -93,6 +93,14 @@ def test_whichever_set_a_search_ends_with_its_first_equal_is_the_answer(chosen, 
     assert [fit.names for fit in equals] == [("stage.sum", "stage.difference")]
 
 
+def test_sets_that_differ_in_two_effects_from_a_set_of_many_are_not_compared(chosen, monkeypatch):
+    """Their number doubles with each effect, and six joints with gaps have thirty."""
+    monkeypatch.setattr(equal_sets, "COMPARED_MAX", 1)
+    monkeypatch.setattr(equal_sets, "Prediction", None)
+    _, equals = equal_sets.first_of_equals(*chosen((0.5, 0.6), "sum", "difference"))
+    assert equals == ()
+
+
 def test_a_law_with_fewer_parameters_wins_within_noise(chosen):
     search, shaped, null_model = chosen((0.5, 0.0), "shaped")
     first, equals = equal_sets.first_of_equals(search, shaped, null_model)
