@@ -15,10 +15,11 @@ from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.calibration import held_out_squares
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
 from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
-from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import SelectedEffect
@@ -58,6 +59,8 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]]
 HALVINGS = 3
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
+# Effects that a curved parameter is settled beside, and the rounds of their fits.
+LIKELY, SETTLING_ROUNDS = 4, 3
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
 _WEAK_HELD_OUT = {
@@ -164,18 +167,41 @@ def examine(
 
 
 def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
-    """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap."""
+    """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap.
+
+    Of a gap that needs an effect, that is the smallest gap next to one effect; alone, the parameter would replace a
+    part of it.
+    """
 
     def setup() -> Setup:
         return Setup([view], nuisances(view), kinds, origins, view.block_s)
 
+    def least(path: str, value: float, sets: Sequence[tuple[EffectSet, Coordinates]]) -> float:
+        view.assume(path, value)
+        return min(fit.loss for fit in setup().plain().fit(sets, SETTLING_ROUNDS))
+
+    samples = int(np.isfinite(view.measured).sum())
     for path, values in view.curved.items():
-        losses = []
-        for value in values:
-            view.assume(path, value)
-            losses.append(setup().plain().losses([((), ())])[0])
+        losses = [least(path, value, [((), ())]) for value in values]
         view.assume(path, values[int(np.argmin(losses))])
+        if min(losses) > RIG.gain.ignored * samples:
+            likely = _likely(setup().plain(), [c for c in candidates(view) if not _owns(c, path)])
+            losses = [least(path, value, likely) for value in values]
+            view.assume(path, values[int(np.argmin(losses))])
     return setup()
+
+
+def _owns(candidate: Candidate, path: str) -> bool:
+    return any(parameter.path.endswith(f".{path}") for parameter in candidate.parameters)
+
+
+def _likely(problem: FitProblem, known: Sequence[Candidate]) -> list[tuple[EffectSet, Coordinates]]:
+    """Return the effects that explain most at their best start, each as a set of its own."""
+    sets: list[tuple[EffectSet, Coordinates]] = [((each,), (start,)) for each in known for start in each.starts]
+    found: dict[str, tuple[EffectSet, Coordinates]] = {}
+    for _, (effects, u) in sorted(zip(problem.losses(sets), sets, strict=True), key=lambda each: each[0]):
+        found.setdefault(effects[0].name, (effects, u))
+    return list(found.values())[:LIKELY]
 
 
 def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:

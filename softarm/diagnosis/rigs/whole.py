@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
-from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, estimates, settled, squares_of, view_of
+from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, settled, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
@@ -100,12 +100,14 @@ def _searched(
     rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name not in judged]
     known = (*common.values(), *rivals)
     planned_s = work.backward(len(known), len(parameters_of(known))) * sum(view.rollout_s for view in views)
+    thresholds = RIG
     if PLANNED * budget_s < planned_s:
+        thresholds = replace(RIG, search=replace(RIG.search, restarts=RESTARTS_BOUND))
         kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made.values()])
         views, used = [_again(view, each) for view, each in zip(views, kept, strict=True)], kept[0]
     free = [n for view in views for n in nuisances(view) if n.path.rpartition(".")[0] not in judged]
     setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
-    return Examination(setup, known, RIG, lambda text, done: None), common
+    return Examination(setup, known, thresholds, lambda text, done: None), common
 
 
 def _judged(
@@ -114,7 +116,9 @@ def _judged(
     """Return the judgement on one effect, or None if the stages together leave it open."""
     chosen = {each.candidate.name: each for each in joint.choice.selected}
     if common.name in chosen and _holds(joint, chosen[common.name]):
-        return _named(effect, joint, chosen[common.name], stages, found)
+        judgement = _named(effect, joint, chosen[common.name], stages, found)
+        if judgement is not None:
+            return judgement
     if any(common.name in each.equivalents for each in chosen.values()):
         return None
     against = [stage for stage in stages if f"{stage}.{effect}" in _names(found[stage])]

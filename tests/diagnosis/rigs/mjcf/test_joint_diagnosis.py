@@ -66,6 +66,16 @@ def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smalles
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 0.6 * left
 
 
+def test_the_friction_bends_over_the_same_travel_beside_a_fault(tmp_path):
+    """Without the spring, another travel leaves the smallest gap, and friction would be named next to the spring."""
+    law = JointLaw(spring=2.0)
+    view = JointView(
+        [t for t in tables.read(mechanism(tmp_path, "cartpole", Truth({"rail": law}))) if t.stage.name == "rail"]
+    )
+    settled(view, MECHANISM_KINDS, range(len(MECHANISM_KINDS)))
+    assert view.nominal("coulomb_friction.give") == pytest.approx(1e-3, abs=0.3e-3)
+
+
 UPRIGHT = """<mujoco><option timestep="0.002"/><worldbody><body>
   <joint name="lean" axis="0 1 0" damping="0.3" armature="0.02"/>
   <inertial pos="0 0 0.3" mass="1.5" diaginertia="0.02 0.02 0.001"/>
