@@ -47,6 +47,34 @@ def test_the_drawing_shows_the_bodies_where_the_status_has_them(page):
     assert counts == {"trained": 1, "within-reach": 1, "soft-limit": 2}
 
 
+INK = """(colour) => {
+  const canvas = document.querySelector("#plots canvas");
+  const probe = Object.assign(document.createElement("i"), { style: `color: var(--${colour})` });
+  document.body.append(probe);
+  const wanted = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
+  probe.remove();
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4) if (wanted.every((v, c) => Math.abs(data[k + c] - v) < 12)) count++;
+  return count;
+}"""
+
+
+def test_the_charts_mark_where_goals_began_and_ended(page, robot):
+    robot.arm()
+    page.get_by_role("button", name="10 s", exact=True).click()
+    page.locator("#plots canvas").nth(5).wait_for()
+    page.wait_for_function(f"() => ({INK})('stop-text') === 0")  # marks of earlier tests have left the window
+    number = robot.status["goal"]["number"]
+    robot.ask("/api/goal", {"kind": "reach", "y_m": 0.25, "z_m": 0.75})
+    robot.until(lambda now: now["goal"]["number"] > number and now["goal"]["state"] == "failed")
+    page.wait_for_function(f"() => ({INK})('stop-text') > 20")
+    assert page.evaluate(INK, "accent") > 10
+    assert page.locator(".marks li").all_inner_texts() == ["▸goal began", "✓reached", "✕missed", "–cancelled"]
+
+
 def test_a_click_sends_a_target_and_shows_the_result(page, robot, press):
     robot.arm()
     press(page, -0.2, 0.65)
@@ -111,20 +139,6 @@ def test_two_numbers_send_a_target(page, robot):
     assert "must be numbers" in result(page)
 
 
-INK = """(colour) => {
-  const canvas = document.querySelector("#plots canvas");
-  const probe = Object.assign(document.createElement("i"), { style: `color: var(--${colour})` });
-  document.body.append(probe);
-  const wanted = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
-  probe.remove();
-  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
-  copy.drawImage(canvas, 0, 0);
-  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
-  let count = 0;
-  for (let k = 0; k < data.length; k += 4) if (wanted.every((v, c) => Math.abs(data[k + c] - v) < 12)) count++;
-  return count;
-}"""
-
 PLACES = """() => {
   const box = (node) => node.getBoundingClientRect().toJSON();
   const cards = [...document.querySelectorAll("main .card")].map(box);
@@ -173,19 +187,6 @@ def test_one_cursor_is_shown_in_all_charts(page, robot):
     places = "() => [...document.querySelectorAll('.plot .u-cursor-x')].map((line) => line.style.transform)"
     page.wait_for_function(f"() => new Set(({places})()).size === 1 && !({places})()[0].includes('-10px')")
     assert len(page.evaluate(places)) == 6
-
-
-def test_the_charts_mark_where_goals_began_and_ended(page, robot):
-    robot.arm()
-    page.get_by_role("button", name="10 s", exact=True).click()
-    page.wait_for_timeout(10_000)  # marks of earlier tests leave the window
-    before = page.evaluate(INK, "stop-text")
-    number = robot.status["goal"]["number"]
-    robot.ask("/api/goal", {"kind": "reach", "y_m": 0.25, "z_m": 0.75})
-    robot.until(lambda now: now["goal"]["number"] > number and now["goal"]["state"] == "failed")
-    page.wait_for_function(f"(was) => ({INK})('stop-text') > was + 20", arg=before)
-    assert page.evaluate(INK, "accent") > 10
-    assert page.locator(".marks li").all_inner_texts() == ["▸goal began", "✓reached", "✕missed", "–cancelled"]
 
 
 def test_the_charts_stand_beside_the_arm_without_scrolling(page, robot):
