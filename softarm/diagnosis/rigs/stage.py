@@ -61,6 +61,8 @@ HALVINGS = 3
 TRIALS_LEAST = 4
 # Effects that a curved parameter is settled beside, and the rounds of their fits.
 LIKELY, SETTLING_ROUNDS = 4, 3
+# Share of the squared gap that remains next to such an effect at most, if it explains most of the gap.
+MOST = 0.5
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
 _WEAK_HELD_OUT = {
@@ -169,8 +171,8 @@ def examine(
 def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
     """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap.
 
-    Of a gap that needs an effect, that is the smallest gap next to one effect; alone, the parameter would replace a
-    part of it.
+    If one effect explains most of the gap, that is the smallest gap next to this effect; alone, the parameter would
+    replace a part of the effect.
     """
 
     def setup() -> Setup:
@@ -183,11 +185,14 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
     samples = int(np.isfinite(view.measured).sum())
     for path, values in view.curved.items():
         losses = [least(path, value, [((), ())]) for value in values]
-        view.assume(path, values[int(np.argmin(losses))])
+        best = values[int(np.argmin(losses))]
+        view.assume(path, best)
         if min(losses) > RIG.gain.ignored * samples:
             likely = _likely(setup().plain(), [c for c in candidates(view) if not _owns(c, path)])
-            losses = [least(path, value, likely) for value in values]
-            view.assume(path, values[int(np.argmin(losses))])
+            beside = [least(path, value, likely) for value in values]
+            if min(beside) < MOST * min(losses):
+                best = values[int(np.argmin(beside))]
+            view.assume(path, best)
     return setup()
 
 
