@@ -99,6 +99,7 @@ class Finding:
     vocabulary: tuple[Effect, ...]
     warnings: tuple[str, ...]
     driven_by: frozenset[str]  # stages whose measured motion loads this stage
+    assumed: Mapping[str, float]  # 'effect.parameter' -> settled value of the nominal model
 
     @property
     def is_unexplained(self) -> bool:
@@ -287,6 +288,7 @@ class _Stage:
             vocabulary=view.effects,
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
+            assumed={path: view.nominal(path) for path in view.curved},
         )
 
     def _calibrated(self, fit: Fit) -> Calibrated:

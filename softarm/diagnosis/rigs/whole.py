@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
-from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, settled, squares_of, view_of
+from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
@@ -43,7 +43,7 @@ def judged(
         budget_s: processor time of the search, s; of longer recordings the most informative stretches are used.
     """
     shown = {name for finding in found.values() for name in _names(finding)}
-    views, loaded = _Views(own), dict[tuple[str, str], list[str]]()  # effect and its part -> stages
+    views, loaded = _Views(own, found), dict[tuple[str, str], list[str]]()  # effect and its part -> stages
     for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
         if len(found) > 1 and any(f"{stage}.{effect}" in shown for stage in found):
             for stage in (each for each in sorted(found) if _sizes(found[each], effect)):
@@ -66,14 +66,15 @@ def judged(
 class _Views:
     """Views of the stages on all their data, each made when it is needed."""
 
-    def __init__(self, own: Mapping[str, Sequence[Trial]]) -> None:
-        self._own, self._made = own, dict[str, tuple[RigView, Stretches]]()
+    def __init__(self, own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> None:
+        self._own, self._found, self._made = own, found, dict[str, tuple[RigView, Stretches]]()
 
     def of(self, stage: str) -> tuple[RigView, Stretches]:
         """Return a stage's view and windows."""
         if stage not in self._made:
             view, used = view_of(self._own[stage])
-            settled(view, [t.kind for t in used.trials], used.origins)
+            for path, value in self._found[stage].assumed.items():
+                view.assume(path, value)
             self._made[stage] = view, used
         return self._made[stage]
 

@@ -38,6 +38,7 @@ def shown(own, **names):
             fitted=(effect.name,),
             named=(effect,),
             vocabulary=JointView(own[joint]).effects,
+            assumed={},
         )
     return found
 
