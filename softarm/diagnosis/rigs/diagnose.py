@@ -1,4 +1,4 @@
-"""Diagnosis of the trials of one rig, each of its stages on its own."""
+"""Diagnosis of the trials of one rig: each stage on its own, then the effects that stages share."""
 
 import math
 import time
@@ -30,13 +30,14 @@ def diagnose_table(
     processes: int = 1,
     budget_s: float = math.inf,
 ) -> Diagnosis:
-    """Diagnose every stage of a rig's trials on its own; the result is deterministic.
+    """Diagnose every stage of a rig's trials, and effects that stages share; the result is deterministic.
 
     Args:
         trials: trials read from a stage.yaml.
         report: called with the current step and the finished share, 0 to 1.
         processes: number of stages diagnosed at the same time.
-        budget_s: processor time for all stages together, s; of longer recordings only stretches are used.
+        budget_s: processor time for all stages, s, each on its own; of longer recordings only stretches are used. An
+            effect that stages share takes about as much again.
 
     Raises:
         TrialError: if a trial lacks a column, or its model a value.
@@ -45,22 +46,9 @@ def diagnose_table(
     own: dict[str, list[Trial]] = {}
     for trial in trials:
         own.setdefault(stage_of([trial]).name, []).append(trial)
-    names = sorted(own)
-    report(names[0], 0.0)
-    found: dict[str, Finding] = {}
-    first = FIRST if len(names) > 1 and VIEWS[stage_of(trials[:1]).kind].whole else 1.0
-    work = partial(examine, budget_s=budget_s / len(names))
-    if processes == 1 or len(names) == 1:  # another process cannot report its steps
-
-        def within(text: str, share: float) -> None:
-            report(text, first * (len(found) + BEGUN + (SEARCHED - BEGUN) * share) / len(names))
-
-        work = partial(work, report=within)
-    for _, finding in as_they_come(work, [own[name] for name in names], processes):
-        found[finding.answer.stage] = finding
-        report(finding.answer.stage, first * len(found) / len(names))
-    joint = _joint(own, found, budget_s / len(names), report, processes)
-    stages = [found[name].rated(found) for name in names]
+    found = _alone(own, budget_s / len(own), report, processes)
+    joint = _joint(own, found, budget_s / len(own), report, processes)
+    stages = [found[name].rated(found) for name in sorted(own)]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
     warnings += joint
@@ -75,6 +63,24 @@ def diagnose_table(
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
     )
+
+
+def _alone(own: Mapping[str, Sequence[Trial]], budget_s: float, report: Progress, processes: int) -> dict[str, Finding]:
+    """Return the finding of each stage on its own."""
+    names, found = sorted(own), dict[str, Finding]()
+    report(names[0], 0.0)
+    first = FIRST if len(names) > 1 and VIEWS[stage_of(own[names[0]]).kind].whole else 1.0
+    work = partial(examine, budget_s=budget_s)
+    if processes == 1 or len(names) == 1:  # another process cannot report its steps
+
+        def within(text: str, share: float) -> None:
+            report(text, first * (len(found) + BEGUN + (SEARCHED - BEGUN) * share) / len(names))
+
+        work = partial(work, report=within)
+    for _, finding in as_they_come(work, [own[name] for name in names], processes):
+        found[finding.answer.stage] = finding
+        report(finding.answer.stage, first * len(found) / len(names))
+    return found
 
 
 def _joint(
