@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from softarm.diagnosis.answer.assembly import share
-from softarm.diagnosis.data.trials import Trial, stage_of
+from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine import shrink, work
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, parameters_of
 from softarm.diagnosis.engine.confidence import confidence
@@ -56,7 +56,10 @@ def judged(
     if not loaded:
         return []
     made = {stage: views.of(stage) for stage in sorted({stage for stages in loaded.values() for stage in stages})}
-    joint, common = _searched(made, loaded, found, budget_s)
+    try:
+        joint, common = _searched(made, loaded, found, budget_s)
+    except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
+        return []
     judgements = (
         _judged(effect, common[effect, part], joint, stages, found) for (effect, part), stages in loaded.items()
     )

@@ -1,6 +1,7 @@
 """Wrong descriptions of a mechanism are reported before the fit, each with its remedy."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.checks import assumptions, mistakes
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import view_of
 from softarm.reality.mechanisms.cases import stage_text
 from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
@@ -116,3 +118,13 @@ def test_joints_that_are_not_measured_and_joints_that_are_tied_are_stated(tmp_pa
     assert tied.startswith("tilt: the model ties it to knob (an equality), which is left out")
     (other,) = assumptions(mechanism, mechanism.joint("knob"), ("pan", "tilt"))
     assert other.startswith("knob: the model ties it to tilt")
+
+
+def test_stretches_of_a_recording_are_too_short_to_be_judged(tmp_path, recorded):
+    """A chosen second of a right description may resemble a wrong one."""
+    with pytest.raises(TrialError, match="opposite sign"):
+        view(
+            tmp_path, recorded, "camera", "tilt", ("source: q_tilt, unit: rad", "source: q_tilt, unit: rad, scale: -1")
+        )
+    (trial,) = (t for t in tables.read(tmp_path / "stage.yaml") if t.stage.name == "tilt")
+    assert JointView([replace(trial, recording="multisine")]).stage == "tilt"
