@@ -78,6 +78,7 @@ class JointView(RigView):
         stage = stage_of(trials)
         self._mechanism = mechanism(Path(str(stage.model["mjcf"])))
         self._joint = joint = self._mechanism.joint(stage.name)
+        self._end = f"end {self._mechanism.last_link(joint).body}"
         self._actuator, self._inputs = self._drive(trials)
         column = joint.name
         step = resolution([t.channel("measured")[column] for t in trials])
@@ -115,7 +116,7 @@ class JointView(RigView):
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
-        return f"end {self._mechanism.last_link(self._joint).body}" if effect == "payload" else "base"
+        return self._end if effect == "payload" else "base"
 
     def _unstable_s(self) -> float:
         """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
