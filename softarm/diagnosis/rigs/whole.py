@@ -43,21 +43,25 @@ def judged(
         budget_s: processor time of the search, s; of longer recordings the most informative stretches are used.
     """
     shown = {name for finding in found.values() for name in _names(finding)}
-    views, loaded = _Views(own, found), dict[tuple[str, str], list[str]]()  # effect and its part -> stages
-    for effect in sorted(VIEWS[stage_of(next(iter(own.values()))).kind].whole):
-        if len(found) > 1 and any(f"{stage}.{effect}" in shown for stage in found):
-            for stage in (each for each in sorted(found) if _sizes(found[each], effect)):
-                loaded.setdefault((effect, views.of(stage)[0].part(effect)), []).append(stage)
+    whole = VIEWS[stage_of(next(iter(own.values()))).kind].whole
+    effects = [effect for effect in sorted(whole) if any(f"{stage}.{effect}" in shown for stage in found)]
+    if len(found) < 2 or not effects:
+        return []
+    made = {stage: _made(own[stage], finding) for stage, finding in sorted(found.items())}
+    parts: dict[tuple[str, str], list[str]] = {}  # effect and the part that has it -> stages that it loads
+    for effect in effects:
+        for stage in (each for each in made if _sizes(found[each], effect)):
+            parts.setdefault((effect, made[stage][0].part(effect)), []).append(stage)
     loaded = {
         (effect, part): stages
-        for (effect, part), stages in loaded.items()
+        for (effect, part), stages in parts.items()
         if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages)
     }
     if not loaded:
         return []
-    made = {stage: views.of(stage) for stage in sorted({stage for stages in loaded.values() for stage in stages})}
+    several = {stage for stages in loaded.values() for stage in stages}
     try:
-        joint, common = _searched(made, loaded, found, budget_s)
+        joint, common = _searched({s: each for s, each in made.items() if s in several}, loaded, found, budget_s)
     except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
         return []
     judgements = (
@@ -66,20 +70,12 @@ def judged(
     return [each for each in judgements if each is not None]
 
 
-class _Views:
-    """Views of the stages on all their data, each made when it is needed."""
-
-    def __init__(self, own: Mapping[str, Sequence[Trial]], found: Mapping[str, Finding]) -> None:
-        self._own, self._found, self._made = own, found, dict[str, tuple[RigView, Stretches]]()
-
-    def of(self, stage: str) -> tuple[RigView, Stretches]:
-        """Return a stage's view and windows."""
-        if stage not in self._made:
-            view, used = view_of(self._own[stage])
-            for path, value in self._found[stage].assumed.items():
-                view.assume(path, value)
-            self._made[stage] = view, used
-        return self._made[stage]
+def _made(trials: Sequence[Trial], finding: Finding) -> tuple[RigView, Stretches]:
+    """Return the view of all data of a stage, with the settled values of its finding, and its windows."""
+    view, windows = view_of(trials)
+    for path, value in finding.assumed.items():
+        view.assume(path, value)
+    return view, windows
 
 
 def _names(finding: Finding) -> Iterator[str]:
@@ -108,7 +104,7 @@ def _searched(
     if PLANNED * budget_s < planned_s:
         thresholds = replace(RIG, search=replace(RIG.search, restarts=RESTARTS_BOUND))
         kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made.values()])
-        views, used = [_again(view, each) for view, each in zip(views, kept, strict=True)], kept[0]
+        views, used = [_on(each, view) for view, each in zip(views, kept, strict=True)], kept[0]
     free = [n for view in views for n in nuisances(view) if n.path.rpartition(".")[0] not in judged]
     setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
     return Examination(setup, known, thresholds, lambda text, done: None), common
@@ -134,8 +130,8 @@ def _judged(
     )
 
 
-def _again(view: RigView, stretches: Stretches) -> RigView:
-    """Return a view of some stretches with the assumptions of another one."""
+def _on(stretches: Stretches, view: RigView) -> RigView:
+    """Return a view of some stretches with the assumptions of another view."""
     found = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
     for path in view.curved:
         found.assume(path, view.nominal(path))
