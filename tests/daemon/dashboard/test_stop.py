@@ -37,6 +37,8 @@ def cut(page, daemon, stop_too: bool = False, hang: bool = False) -> None:
         lambda url: urlsplit(url).port == daemon.port or (stop_too and urlsplit(url).port == daemon.stop_port),
         lambda route: None if hang else route.abort(),
     )
+    if not hang:  # a key press can reach the page before the route does
+        page.evaluate("async () => { while (await fetch('api/robot').then(() => true, () => false)); }")
 
 
 def test_the_button_stops_and_names_the_port_that_confirmed(armed, robot):
