@@ -3,10 +3,12 @@
 Unknown facts are asked for at a terminal; otherwise an error names the option.
 """
 
+import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,7 @@ import click
 
 from softarm.cli.shared.console import FILE, INPUT, check_places, print_table, waiting, write
 from softarm.cli.shared.errors import NOTHING, Failure, fail, leaves
+from softarm.common.quantity import PURE
 from softarm.schemas.stage_model import DESCRIBED
 
 if TYPE_CHECKING:
@@ -93,7 +96,8 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     _show(found)
     if models:
         where, joints = os.path.relpath(models[0].resolve(), out.parent.resolve()), _joints(models[0])
-        proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, joints, where))
+        leaders = partial(_leaders, models[0])
+        proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, joints, where, leaders))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
@@ -107,14 +111,26 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
     from softarm.diagnosis.describe.joints import ModelJoint
     from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 
-    found = []
-    for joint in mechanism(model).joints.values():
+    found, robot = [], mechanism(model)
+    for pose in robot.poses:
+        found += [ModelJoint(name, "m", math.inf, "", "", moved=True) for name in pose.place]
+        found += [ModelJoint(name, PURE, math.inf, "", "", moved=True) for name in pose.turn]
+    for joint in robot.joints.values():
         unit, torque = ("rad", "N m") if joint.turns else ("m", "N")
         actuator = joint.actuator
         wanted = unit if actuator is not None and actuator.kp > 0 else torque
         name = actuator.name if actuator is not None else ""
         found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, wanted))
     return tuple(found)
+
+
+def _leaders(model: Path, measured: Collection[str]) -> dict[str, str]:
+    """Return the measured joints that follow another by the model's equalities, with that joint."""
+    from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
+
+    robot = mechanism(model, measured)
+    found = {name: robot.leader(robot.joint(name)) for name in measured}
+    return {name: leader for name, leader in found.items() if leader}
 
 
 def _may_be_written(out: Path, overwrite: bool) -> None:

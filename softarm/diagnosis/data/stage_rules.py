@@ -4,10 +4,13 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, get_args
 
-from softarm.common.quantity import factor
+from softarm.common.quantity import PURE, factor
 from softarm.common.words import did_you_mean
 from softarm.common.yaml_lines import Place
 from softarm.schemas.stage_model import CHANNELS, COLUMN_UNITS, LINKS_MAX, StageKind, complaints
+
+# Ends of the columns of a floating body's or ball joint's orientation.
+QUATERNION = ("_qw", "_qx", "_qy", "_qz")
 
 Findings = dict[Place, Callable[[], str]]
 
@@ -117,6 +120,8 @@ def _units(kind: StageKind, channels: Mapping[str, Any]) -> Iterator[tuple[Place
             allowed = ("m",) if name == "base" else allowed
             if kind == "mujoco":  # columns have the names of joints and actuators
                 allowed = {"measured": ("rad", "m"), "base": ("rad", "m"), "torque": ("N m", "N")}.get(name, ())
+                if name == "base" and column.endswith(QUATERNION):
+                    allowed = (PURE,)
             if unit and allowed and unit not in allowed:
                 yield (
                     ("channels", name, "columns", column, "unit"),

@@ -1,7 +1,7 @@
 """Proposal of a stage.yaml for a MuJoCo model: columns found by the names of its joints and actuators."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from softarm.common.quantity import factor
@@ -23,10 +23,24 @@ class ModelJoint:
     span: float  # of its range; inf without a limit
     actuator: str  # empty without one
     command_unit: str
+    moved: bool = False  # a column of a floating body's pose, which no torque of the model moves
 
 
-def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], model: str) -> Proposal:
-    """Return the content of a stage file of kind mujoco; `model` is the path of the model as the stage file names it.
+def propose(
+    survey: Survey,
+    answers: Answers,
+    joints: Sequence[ModelJoint],
+    model: str,
+    leaders: Callable[[Collection[str]], Mapping[str, str]],
+) -> Proposal:
+    """Return the content of a stage file of kind mujoco.
+
+    Args:
+        survey: columns of the recordings.
+        answers: answers of the user.
+        joints: joints of the model.
+        model: path of the model as the stage file names it.
+        leaders: returns which of some measured joints follow another by the model's equalities, with that joint.
 
     Raises:
         Unknown: the stamps or their unit are unknown.
@@ -43,16 +57,21 @@ def propose(survey: Survey, answers: Answers, joints: Sequence[ModelJoint], mode
         if measured is None:
             continue
         driven = bool(joint.actuator) and command is not None
-        channel = "measured" if driven or not joint.actuator else "base"
+        channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
         found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.span)
         if joint.actuator and command is not None:
             span = joint.span if position_loop else float("inf")
             found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
+        if joint.moved:
+            continue
         if channel == "base":
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
         elif not joint.actuator:
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
-    if "measured" not in found:
+    for joint_name, leader in leaders(found.get("measured", {})).items():
+        found.setdefault("base", {})[joint_name] = found["measured"].pop(joint_name)
+        draft.notes.append(f"{joint_name} follows {leader} by an equality of the model and is under base")
+    if not found.get("measured"):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
     why = f"{len(found['measured'])} joints of the model are measured"

@@ -9,10 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, record, write
+from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, actuator_of, record, write
 
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0
+FOLLOWED = 6  # degree of the polynomial of a follower's position by its leader's
 OFF = 0.02  # largest share by which a healthy model's numbers are off
 
 
@@ -121,13 +122,17 @@ def stage_text(robot: Robot) -> str:
     lines = ["kind: mujoco", "channels:"]
     lines += channel("measured", [(j, f"q_{j}", unit(j)) for j in robot.judged])
     commands = []
-    for i in range(model.nu):
-        joint = model.joint(model.actuator_trnid[i, 0]).name
+    for joint in (*robot.follows, *robot.pushed):
         torque = "N" if joint in slides else "N m"
-        commands.append((model.actuator(i).name, f"cmd_{joint}", unit(joint) if joint in robot.follows else torque))
+        name = model.actuator(actuator_of(mujoco, model, joint)).name
+        commands.append((name, f"cmd_{joint}", unit(joint) if joint in robot.follows else torque))
     lines += channel("command", commands)
-    if robot.moved:
-        lines += channel("base", [(j, f"q_{j}", unit(j)) for j in robot.moved])
+    base = [(j, f"q_{j}", unit(j)) for j in robot.moved]
+    if robot.floats:
+        base += [(f"{robot.floats}_{axis}", f"{robot.floats}_{axis}", "m") for axis in "xyz"]
+        base += [(f"{robot.floats}_q{part}", f"{robot.floats}_q{part}", "1") for part in "wxyz"]
+    if base:
+        lines += channel("base", base)
     lines += ["model: {mjcf: robot.xml}", "trials:"]
     lines += [f"  - {{files: {kind}-*.csv, kind: {kind}}}" for kind in dict.fromkeys(TRIALS)]
     return "\n".join(lines) + "\n"
@@ -140,24 +145,31 @@ def scales_of(robot: Robot) -> dict[str, Scale]:
     found = record(robot, Truth({}), "multisine", 8.0, np.random.default_rng(0))
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     data = mujoco.MjData(model)
-    names = [model.joint(i).name for i in range(model.njnt)]
+    names = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name != robot.floats]
+    places = [model.joint(name).qposadr[0] for name in names]
+    dofs = [model.joint(name).dofadr[0] for name in names]
     q = np.stack([found[f"q_{name}"] for name in names], axis=1)
     kernel = np.ones(9) / 9
     q = np.stack([np.convolve(np.convolve(x, kernel, "same"), kernel, "same") for x in q.T], axis=1)
     v = np.gradient(q, 1 / RATE_HZ, axis=0)
     a = np.gradient(v, 1 / RATE_HZ, axis=0)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(flags.mjDSBL_ACTUATION) | int(flags.mjDSBL_EQUALITY)
     torques = np.empty_like(q)
     for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        data.qpos[places], data.qvel[dofs], data.qacc[dofs] = q[k], v[k], a[k]
         mujoco.mj_inverse(model, data)
-        torques[k] = data.qfrc_inverse
-    inner = slice(20, -20)
-    inertia = np.ravel(model.dof_M0)
+        torques[k] = data.qfrc_inverse[dofs]
+    inner, inertia = slice(20, -20), np.ravel(model.dof_M0)[dofs]
+    for follower, leader in robot.followers.items():
+        i, j = names.index(follower), names.index(leader)
+        ratio = np.polynomial.Polynomial.fit(q[:, j], q[:, i], FOLLOWED).deriv()(q[:, j])
+        torques[:, j] += ratio * torques[:, i]
+        inertia[j] += np.mean(ratio**2) * inertia[i]
     return {
         name: Scale(
             torque=float(np.sqrt(np.mean((torques[inner, i] - np.mean(torques[inner, i])) ** 2)))
-            or float(model.dof_frictionloss[i]),
+            or float(model.dof_frictionloss[dofs[i]]),
             inertia=float(inertia[i]),
             speed=float(np.sqrt(np.mean(v[inner, i] ** 2))),
             half=float(np.ptp(q[inner, i])) / 2,

@@ -47,6 +47,8 @@ class Robot:
     pushed: Mapping[str, float]  # torque-controlled joint -> half range of the motion that its commands cause
     free: tuple[str, ...] = ()  # joints without an actuator
     moved: Mapping[str, float] = field(default_factory=dict)  # joint moved from outside -> half range
+    floats: str = ""  # free joint of a body that flies
+    followers: Mapping[str, str] = field(default_factory=dict)  # joint -> the joint that it follows by an equality
     step: Mapping[str, float] = field(default_factory=dict)  # joint -> resolution of its encoder, default 1e-3 rad
 
     @property
@@ -72,6 +74,9 @@ ROBOTS: Final[Mapping[str, Robot]] = {
         Robot("cartpole", {}, {"rail": 0.2}, ("hinge",), step={"rail": 1e-4}),
         Robot("leg", {}, {"hip": 0.5, "knee": 0.6, "ankle": 0.5}),
         Robot("camera", {"pan": 0.9, "tilt": 0.5}, {}, moved={"track": 0.15}, step={"track": 1e-4}),
+        Robot("linkage", {"crank": 0.7}, {}, followers={"coupler": "crank", "rocker": "crank"}),
+        Robot("gripper", {"wrist": 0.8, "left": 0.02}, {}, followers={"right": "left"}, step={"left": 1e-5}),
+        Robot("drone", {"shoulder": 0.7, "elbow": 0.8, "twist": 1.2}, {}, floats="hull"),
     )
 }
 
@@ -81,7 +86,7 @@ Array = NDArray[np.float64]
 STEP_S = 5e-4
 RATE_HZ = 100.0  # of commands and readings
 SLOWEST_HZ, FASTEST_HZ = 0.15, 1.6  # parts of a multisine
-GIVE = 1e-3  # turn after which dry friction has its full value (Dahl)
+GIVE, GIVE_SHARE = 1e-3, 5e-3  # turn after which dry friction has its full value (Dahl), at most this share of a range
 GRIP = 0.05  # damping of the friction's bristles, as a share of its stiffness, s
 HARMONICS = 7
 NOISE = 2e-4  # RMS of a reading, as a share of the half range
@@ -89,6 +94,9 @@ HOLD_S = 1.6  # of a commanded level
 TURN = 2 * np.pi
 POINT_KG_M2 = 1e-9  # inertia of a point mass; MuJoCo refuses zero
 HEAVY = 1e7  # armature of a joint that is moved from outside
+STIFF_S = 4 * STEP_S  # time constant of an equality
+FLIES_M, FLIES_RAD = 0.15, 0.2  # half ranges of a flying body, along and about each axis
+POSE_STEP_M, POSE_NOISE = 1e-4, 1e-4  # resolution of its position, and noise of its quaternion, by motion capture
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +122,11 @@ def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.
     t = np.asarray(np.arange(count * each) * STEP_S, dtype=np.float64)
     wanted = {name: _motion(kind, t, half, random) for name, half in {**robot.follows, **robot.pushed}.items()}
     carried = {name: _motion("multisine", t, half, random) for name, half in robot.moved.items()}
-    rows, sent = plant.run(t, wanted, carried, each)
+    flight = _Flight(t, random) if robot.floats else None
+    rows, sent = plant.run(t, wanted, carried, flight, each)
     columns: dict[str, Array] = {"t": t[::each]}
     columns |= {f"cmd_{name}": values for name, values in sent.items()}
+    columns |= flight.seen(robot.floats, each, random) if flight is not None else {}
     halves = {**robot.follows, **robot.pushed, **robot.moved}
     for name, values in rows.items():
         step = robot.step.get(name, 1e-3)
@@ -144,6 +154,18 @@ def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Ar
     phase = random.uniform(0, TURN, HARMONICS)
     waves = (size[:, None] * np.sin(TURN * frequency[:, None] * t + phase[:, None])).sum(axis=0)
     return np.asarray(half * rise * waves / np.abs(waves).max())
+
+
+def actuator_of(mujoco: Any, model: Any, joint: str) -> int:
+    """Return the number of the first actuator of a joint, or of a tendon that begins at it."""
+    number, tendon = model.joint(joint).id, int(mujoco.mjtTrn.mjTRN_TENDON)
+    for i in range(model.nu):
+        at = int(model.actuator_trnid[i, 0])
+        if model.actuator_trntype[i] == tendon and model.wrap_objid[model.tendon_adr[at]] == number:
+            return i
+        if model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_JOINT) and at == number:
+            return i
+    raise KeyError(joint)
 
 
 def loaded(mujoco: Any, path: Path, load: float) -> Any:
@@ -178,12 +200,18 @@ class _Plant:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         model.dof_damping[:] = 0.0
         model.dof_frictionloss[:] = 0.0
-        self.names = [model.joint(i).name for i in range(model.njnt)]
-        for i, name in enumerate(self.names):
+        if model.neq:
+            model.eq_solref[:] = STIFF_S, 1.0
+        self.names = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name != robot.floats]
+        self.dofs = np.array([model.joint(name).dofadr[0] for name in self.names])
+        self.places = np.array([model.joint(name).qposadr[0] for name in self.names])
+        for i, name in zip(self.dofs, self.names, strict=True):
             law = truth.laws.get(name, JointLaw())
             model.dof_armature[i] = law.armature * self.nominal.dof_armature[i] + law.more_inertia
         for name in robot.moved:
-            model.dof_armature[self.names.index(name)] = HEAVY
+            model.dof_armature[model.joint(name).dofadr] = HEAVY
+        if robot.floats:
+            model.dof_armature[:6] = HEAVY
         for body, factor in truth.masses.items():
             number = model.body(body).id
             model.body_mass[number] *= factor
@@ -192,32 +220,42 @@ class _Plant:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def run(
-        self, t: Array, wanted: Mapping[str, Array], carried: Mapping[str, Array], each: int
+        self,
+        t: Array,
+        wanted: Mapping[str, Array],
+        carried: Mapping[str, Array],
+        flight: "_Flight | None",
+        each: int,
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Return readings of every joint and commands, [T / each] each."""
         mujoco, model, robot = self.mujoco, self.model, self.robot
         data, n = mujoco.MjData(model), len(self.names)
         law = {key: self._values(key) for key in JointLaw.__slots__}
-        damping = law["viscous"] * self.nominal.dof_damping + law["more_viscous"]
-        dry = law["dry"] * self.nominal.dof_frictionloss + law["more_dry"]
+        damping = law["viscous"] * self.nominal.dof_damping[self.dofs] + law["more_viscous"]
+        dry = law["dry"] * self.nominal.dof_frictionloss[self.dofs] + law["more_dry"]
         drives = [_Drive(self, name, t, each) for name in (*robot.follows, *robot.pushed)]
         bend, count = np.zeros(n), len(t) // each
+        halves = {**robot.follows, **robot.pushed}
+        ranges = [halves.get(robot.followers.get(name, name), 1.0) for name in self.names]
+        give = np.minimum(GIVE, GIVE_SHARE * np.array(ranges))
         true, sent = np.empty((len(t), n)), {d.name: np.empty(count) for d in drives}
         carry = [self._carried(name, path) for name, path in carried.items()]
         for k in range(len(t)):
             for i, path, speed, _ in carry:
-                data.qpos[i], data.qvel[i] = path[k], speed[k]
-            q, v = data.qpos, data.qvel
+                data.qpos[self.places[i]], data.qvel[self.dofs[i]] = path[k], speed[k]
+            if flight is not None:
+                flight.carry(k, data)
+            q, v = data.qpos[self.places], data.qvel[self.dofs]
             true[k] = q
-            bend = np.clip(bend + STEP_S * v, -GIVE, GIVE)
+            bend = np.clip(bend + STEP_S * v, -give, give)
             level = dry + law["uneven"] * np.sign(v)
             torque = -damping * v - law["spring"] * q + law["torque"]
-            torque -= level / GIVE * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
+            torque -= level / give * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
             for drive in drives:
                 torque[drive.index] += drive.step(k, wanted[drive.name], q, v, sent)
             for i, _, _, force in carry:
                 torque[i] = force[k]
-            data.qfrc_applied[:] = torque
+            data.qfrc_applied[self.dofs] = torque
             mujoco.mj_step(model, data)
         return {name: self._reading(name, true[:, i])[::each] for i, name in enumerate(self.names)}, sent
 
@@ -238,6 +276,56 @@ class _Plant:
         return np.asarray(q + law.bent * np.sin(q))
 
 
+class _Flight:
+    """Pose of a body that flies as it likes, whatever hangs from it: the first six degrees of freedom of a model."""
+
+    def __init__(self, t: Array, random: np.random.Generator) -> None:
+        self.place = np.stack([_motion("multisine", t, FLIES_M, random) for _ in range(3)], axis=1)
+        angles = np.stack([_motion("multisine", t, FLIES_RAD, random) for _ in range(3)], axis=1)
+        self.turn = _from_angles(angles)
+        turned = np.gradient(self.turn, STEP_S, axis=0)
+        speed = np.gradient(self.place, STEP_S, axis=0), 2 * _times(_inverse(self.turn), turned)[:, 1:]
+        self.speed = np.concatenate(speed, axis=1)
+        self.force = HEAVY * np.gradient(self.speed, STEP_S, axis=0)
+
+    def carry(self, k: int, data: Any) -> None:
+        """Move the body of a simulation to a step, where its path goes on."""
+        if k == 0:
+            self.start = data.qpos[:3].copy()
+        data.qpos[:3], data.qpos[3:7] = self.start + self.place[k], self.turn[k]
+        data.qvel[:6], data.qfrc_applied[:6] = self.speed[k], self.force[k]
+
+    def seen(self, name: str, each: int, random: np.random.Generator) -> dict[str, Array]:
+        """Return position and quaternion by motion capture, [T / each] each."""
+        place = np.round((self.start + self.place)[::each] / POSE_STEP_M) * POSE_STEP_M
+        turn = self.turn[::each] + POSE_NOISE * random.normal(size=self.turn[::each].shape)
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+        found = {f"{name}_{axis}": values for axis, values in zip("xyz", place.T, strict=True)}
+        return found | {f"{name}_{part}": v for part, v in zip(("qw", "qx", "qy", "qz"), turn.T, strict=True)}
+
+
+def _from_angles(angles: Array) -> Array:
+    """Return quaternions of rotations about x, then y, then z, [T, 4]; angles [T, 3]."""
+    found = np.tile([1.0, 0.0, 0.0, 0.0], (len(angles), 1))
+    for i in range(3):
+        about = np.zeros((len(angles), 4))
+        about[:, 0], about[:, i + 1] = np.cos(angles[:, i] / 2), np.sin(angles[:, i] / 2)
+        found = _times(about, found)
+    return found
+
+
+def _times(a: Array, b: Array) -> Array:
+    """Return products of quaternions, [T, 4]."""
+    scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
+    vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
+    return np.concatenate((scalar, vector), axis=1)
+
+
+def _inverse(a: Array) -> Array:
+    """Return the inverse of unit quaternions, [T, 4]."""
+    return np.asarray(a * [1.0, -1.0, -1.0, -1.0])
+
+
 class _Drive:
     """Actuator of one joint: a position loop, or a motor whose commands follow a motion from outside."""
 
@@ -245,7 +333,7 @@ class _Drive:
         model = plant.nominal
         self.name, self.index, self.each = name, plant.names.index(name), each
         self.law = plant.truth.laws.get(name, JointLaw())
-        number = next(i for i in range(model.nu) if model.actuator_trnid[i, 0] == model.joint(name).id)
+        number = actuator_of(plant.mujoco, model, name)
         self.follows = name in plant.robot.follows
         self.gain, self.gear = float(model.actuator_gainprm[number, 0]), float(model.actuator_gear[number, 0])
         self.kd = -float(model.actuator_biasprm[number, 2])
@@ -253,7 +341,7 @@ class _Drive:
         self.limit = float(model.actuator_forcerange[number, 1]) if limited else np.inf
         ctrl = model.actuator_ctrllimited[number]
         self.most = float(model.actuator_ctrlrange[number, 1]) if ctrl else self.limit / self.gear
-        self.inertia = float(np.ravel(plant.model.dof_M0)[self.index])
+        self.inertia = float(np.ravel(plant.model.dof_M0)[plant.dofs[self.index]])
         self.queue = [0.0] * (round(self.law.delay_s / STEP_S) + 1)
         self.filtered, self.command = 0.0, 0.0
         self.kept = np.exp(-STEP_S / self.law.lag_s) if self.law.lag_s else 0.0

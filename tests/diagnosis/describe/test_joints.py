@@ -115,3 +115,28 @@ def test_two_models_are_refused(tmp_path):
     result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "a.xml"), str(tmp_path / "b.xml")])
     assert result.exit_code == 2
     assert "allowed is one model" in result.output
+
+
+POSE = {f"hull_{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")}
+FOLLOWER = "right follows left by an equality of the model and is under base"
+
+
+@pytest.mark.parametrize(
+    ("robot", "base", "measured", "note"),
+    [
+        ("gripper", {"right"}, {"wrist", "left"}, FOLLOWER),
+        ("drone", POSE, {"shoulder", "elbow", "twist"}, "kind: mujoco"),
+    ],
+)
+def test_joints_that_follow_and_poses_are_under_base(tmp_path, robot, base, measured, note):
+    columns = record(ROBOTS[robot], Truth({}), "multisine", 4.0, np.random.default_rng(1))
+    header, table = ",".join(name.removeprefix("q_") for name in columns), np.stack([*columns.values()], axis=1)
+    np.savetxt(tmp_path / "run-1.csv", table, delimiter=",", header=header, comments="")
+    out, arguments = tmp_path / "stage.yaml", [str(ROBOTS[robot].model), str(tmp_path / "run-1.csv")]
+    result = CliRunner().invoke(main, ["new", "rig", *arguments, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    text = out.read_text()
+    channels = yaml.safe_load(text)["channels"]
+    assert set(channels["base"]["columns"]) == base
+    assert set(channels["measured"]["columns"]) == measured
+    assert note in " ".join(text.replace("\n#", "").split())

@@ -27,7 +27,7 @@ def healthy():
 def test_every_joint_of_a_robot_exists_in_its_model(name):
     robot, model = ROBOTS[name], mujoco.MjModel.from_xml_path(str(ROBOTS[name].model))
     joints = {model.joint(i).name for i in range(model.njnt)}
-    assert joints == {*robot.judged, *robot.moved}
+    assert joints == {*robot.judged, *robot.moved, *robot.followers, *filter(None, [robot.floats])}
 
 
 def test_the_same_seed_gives_the_same_recording(healthy):
@@ -85,3 +85,20 @@ def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypat
     (cause,) = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
     assert cause["joints"] == ["pan", "tilt"]
     assert cause["names"] in (["tilt"], ["payload"])
+
+
+def test_followers_keep_the_equalities_of_their_model():
+    found, model = columns("linkage", seconds=3.0), mujoco.MjModel.from_xml_path(str(ROBOTS["linkage"].model))
+    data = mujoco.MjData(model)
+    for k in range(0, 300, 30):
+        data.qpos[:] = [found[f"q_{name}"][k] for name in ("crank", "coupler", "rocker")]
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[: data.ne]).max() < 2e-3  # the encoders have steps of 1 mrad
+
+
+def test_a_body_that_flies_has_a_unit_quaternion_and_loads_the_arm():
+    found = columns("drone", seconds=4.0)
+    turn = np.stack([found[f"hull_q{part}"] for part in "wxyz"])
+    assert np.linalg.norm(turn, axis=0) == pytest.approx(1.0)
+    assert 0.05 < np.ptp(found["hull_qx"]) < 0.4
+    assert 0.1 < np.ptp(found["hull_z"]) < 0.4

@@ -1,7 +1,7 @@
 """Checks of a joint's recordings against its MuJoCo model before a fit: units, signs, gears and zeros."""
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -90,15 +90,10 @@ def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:
         yield f"{said}; correct the column's `unit`, or name another column"
 
 
-def assumptions(mechanism: Mechanism, joint: Joint, measured: Collection[str]) -> Iterator[str]:
-    """Yield a warning for each assumption about other joints; measured: names of the joints with a column."""
+def assumptions(mechanism: Mechanism, joint: Joint, measured: Mapping[str, object]) -> Iterator[str]:
+    """Yield a warning for each assumption about other joints; measured: columns of joints."""
     if still := mechanism.still(joint, measured):
         yield (
             f"{joint.name}: no column measures {', '.join(still)}, which carry it or are carried by it: they count as "
-            "still; add hinges and slides to `measured` or `base`, and fix a trunk while recording"
-        )
-    if tied := mechanism.tied(joint):
-        yield (
-            f"{joint.name}: the model ties it to {', '.join(tied)} (an equality), which is left out: neither that load "
-            "nor that motion is simulated"
+            "still; add them to `measured` or `base` (a floating body: its position _x to _z and quaternion _qw to _qz)"
         )

@@ -175,7 +175,7 @@ def _loop(s: JointScales) -> Iterator[Effect]:
 
 
 def _friction(s: JointScales) -> Iterator[Effect]:
-    usual, dry = USUAL * s.usual, s.joint.dry
+    usual, dry = USUAL * s.usual, s.joint.friction
     yield like(
         "arm.coulomb_friction",
         "dry friction",

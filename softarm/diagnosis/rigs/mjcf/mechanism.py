@@ -1,11 +1,11 @@
 """Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
 
 import copy
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,33 +15,17 @@ from softarm.common.words import did_you_mean
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as law
+from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
+from softarm.diagnosis.rigs.mjcf.closure import Closure, State
+from softarm.diagnosis.rigs.mjcf.poses import Motion, PoseJoint
 
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
+# Ratio of two speeds from which one joint follows the other, rad or m per rad or m.
+FOLLOWS = 1e-6
 # Distance of a link's centre of mass from its joint below which the link is balanced.
 LINK_SHORTEST_M = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class Actuator:
-    """Affine actuator of one joint: joint torque = scale command + offset - kp position - kd speed, clipped.
-
-    Units are those of the joint's torque (N m or N) and position (rad or m).
-    """
-
-    name: str
-    scale: float = 1.0
-    offset: float = 0.0
-    kp: float = 0.0
-    kd: float = 0.0
-    low: float = -np.inf  # without a limit
-    high: float = np.inf
-    command_low: float = -np.inf
-    command_high: float = np.inf
-    lag_s: float = 0.0
-    delay_s: float = 0.0
-    gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +44,19 @@ class Joint:
     range: tuple[float, float]  # -inf, inf without a limit
     actuator: Actuator | None
     bodies: tuple[str, ...]  # that the joint moves
+    problem: str = ""  # why the model's actuators cannot be used
+    followers: tuple[str, ...] = ()  # joints that the model's equalities make follow
+    followers_dry: float = 0.0  # their dry friction, felt at the joint
 
     @property
     def end(self) -> str:
         """Return the body at the end of the mechanism."""
         return self.bodies[-1]
+
+    @property
+    def friction(self) -> float:
+        """Return the dry friction of the joint and its followers."""
+        return self.dry + self.followers_dry
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,28 +85,45 @@ class Link:
         return self.start + distance_m * self.direction
 
 
+class Course(NamedTuple):
+    """Measured motion of a model, and the same with another position and speed of one joint."""
+
+    own: tuple[Array, Array]  # position and speed of the joint, [T] each
+    centre: State  # without the joint's own acceleration, as the others
+    faster: State  # by NUDGE_SPEED
+    above: State  # by NUDGE
+    below: State
+
+
 class Mechanism:
     """Joints of a model, by name, and their rigid-body terms."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, measured: Collection[str] = (), moved: Collection[str] = ()) -> None:
         """Load an MJCF or URDF file.
 
+        Args:
+            path: the file.
+            measured: joints to diagnose; others depend on these where the model has equalities.
+            moved: other joints with a column, likewise.
+
         Raises:
-            TrialError: MuJoCo is missing, the file is invalid, or the model has closed chains or muscles.
+            TrialError: MuJoCo is missing, or the file is invalid.
         """
         self.path, self._mujoco = path, _mujoco(path)
         self.model = _loaded(self._mujoco, path)
         self.step_s = float(self.model.opt.timestep)
-        self._refuse_loops()
-        self._refuse_actuators()
+        self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
+        self._ratios, away = (self._closure.ratios(each) for each in (self._closure.zero(), self._closure.away()))
+        self._follows = np.abs(away) > FOLLOWS  # degree of freedom, of another
         self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
         self._bodies.jnt_actgravcomp[:] = 0  # else carried weight would be left out with the actuation
+        self._actuators = Actuators(self._mujoco, self.model, self._closure, self._name)
         kinds = (int(self._mujoco.mjtJoint.mjJNT_HINGE), int(self._mujoco.mjtJoint.mjJNT_SLIDE))
-        single = (i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds)
+        single = [i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds]
         self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
-        self.actuators = tuple(self._name("actuator", i) for i in range(self.model.nu))
+        self.poses = tuple(self._pose(i) for i in range(self.model.njnt) if i not in single)
 
     def joint(self, name: str) -> Joint:
         """Return a joint; raise TrialError with the known names if there is none."""
@@ -131,46 +140,62 @@ class Mechanism:
             )
         return self.joints[name]
 
-    def terms(self, joint: Joint, motion: Mapping[str, Sequence[Array]], change: Change = Change()) -> Array:
-        """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
+    def leader(self, joint: Joint) -> str:
+        """Return the joint that a joint follows by the model's equalities, or an empty string."""
+        return next((each.name for each in self.joints.values() if joint.name in each.followers), "")
+
+    def course(self, joint: Joint, motion: Motion) -> Course:
+        """Return the motion of the whole model, for `terms`.
 
         Args:
             joint: the joint; its own acceleration is left out, since the law computes it.
-            motion: joint name -> position, speed and acceleration [T each]; other joints stay at their zero.
+            motion: column of a joint -> position, speed and acceleration [T each]; other joints stay at their zero, or
+                follow by the model's equalities.
+        """
+        size = len(motion[joint.name][0])
+        qpos = np.tile(self.model.qpos0, (size, 1))
+        qvel, qacc = np.zeros((size, self.model.nv)), np.zeros((size, self.model.nv))
+        for name in motion.keys() & self.joints.keys():
+            other = self.joints[name]
+            qpos[:, other.position], qvel[:, other.dof], qacc[:, other.dof] = motion[name]
+        for pose in self.poses:
+            pose.write(motion, qpos, qvel, qacc)
+        qacc[:, joint.dof] = 0.0
+        dof, shift, speed = joint.dof, np.zeros(self.model.nq), np.zeros(self.model.nv)
+        shift[joint.position], speed[dof] = NUDGE, NUDGE_SPEED
+        complete = self._closure.complete
+        centre = complete(qpos, qvel, qacc, dof)
+        faster = complete(qpos, qvel + speed, qacc, dof, centre.position)
+        above, below = (complete(qpos + way, qvel, qacc, dof, centre.position) for way in (shift, -shift))
+        return Course((qpos[:, joint.position], qvel[:, dof]), centre, faster, above, below)
+
+    def terms(self, joint: Joint, course: Course, change: Change = Change()) -> Array:
+        """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
+
+        Args:
+            joint: the joint.
+            course: result of `course` for the joint.
             change: change of the bodies behind the joint.
         """
         mujoco, model = self._mujoco, self._changed(joint, change)
-        data, dof, at = mujoco.MjData(model), joint.dof, joint.position
-        size = len(motion[joint.name][0])
-        qpos, qvel, qacc = np.tile(model.qpos0, (size, 1)), np.zeros((size, model.nv)), np.zeros((size, model.nv))
-        for name, (position, speed, acceleration) in motion.items():
-            other = self.joints[name]
-            qpos[:, other.position], qvel[:, other.dof], qacc[:, other.dof] = position, speed, acceleration
-        qacc[:, dof] = 0.0
-
+        data, stage = mujoco.MjData(model), mujoco.mjtStage
         q, v, a, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-
-        def needed(known: int) -> float:
-            mujoco.mj_inverseSkip(model, data, known, 1)
-            return float(forces[dof])
-
-        stage = mujoco.mjtStage
         unknown, same_position, same_speed = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_POS, stage.mjSTAGE_VEL))
-        found = np.empty((law.ROWS, size))
-        for k in range(size):
-            q[:], v[:], a[:] = qpos[k], qvel[k], qacc[k]
-            load = needed(unknown)
-            a[dof] = 1.0
-            inertia = needed(same_speed) - load
-            a[dof] = 0.0
-            v[dof] += NUDGE_SPEED
-            by_speed = (needed(same_position) - load) / NUDGE_SPEED
-            v[dof] = qvel[k, dof]
-            q[at] += NUDGE
-            above = needed(unknown)
-            q[at] -= 2 * NUDGE
-            by_position = (above - needed(unknown)) / (2 * NUDGE)
-            zero = load - by_position * qpos[k, at] - by_speed * qvel[k, dof]
+
+        def needed(state: State, k: int, known: int) -> float:
+            q[:], v[:], a[:] = state.position[k], state.speed[k], state.acceleration[k]
+            mujoco.mj_inverseSkip(model, data, known, 1)
+            return float(forces @ state.along[k])
+
+        (position, speed), centre, faster, above, below = course
+        accelerated = centre._replace(acceleration=centre.acceleration + centre.along)
+        found = np.empty((law.ROWS, len(position)))
+        for k in range(len(position)):
+            load = needed(centre, k, unknown)
+            inertia = needed(accelerated, k, same_speed) - load
+            by_speed = (needed(faster, k, same_position) - load) / NUDGE_SPEED
+            by_position = (needed(above, k, unknown) - needed(below, k, unknown)) / (2 * NUDGE)
+            zero = load - by_position * position[k] - by_speed * speed[k]
             found[:, k] = inertia, zero, by_position, by_speed
         return found
 
@@ -186,23 +211,23 @@ class Mechanism:
         """Return which of some other joints carry a joint or are carried by it."""
         return frozenset(n for n in names if n != joint.name and {*joint.bodies} & {*self.joint(n).bodies})
 
-    def still(self, joint: Joint, measured: Collection[str]) -> list[str]:
+    def still(self, joint: Joint, measured: Mapping[str, object]) -> list[str]:
         """Return the joints that carry a joint or are carried by it and count as still, free and ball joints included.
 
         Args:
             joint: the joint.
-            measured: names of the joints with a column.
+            measured: columns of the measured joints.
         """
-        own, dofs = {*self._behind(joint.dof)}, map(int, self.model.jnt_dofadr)
-        names = [self._name("joint", i) for i, dof in enumerate(dofs) if own & {*self._behind(dof)}]
-        return [name for name in names if name != joint.name and name not in measured]
-
-    def tied(self, joint: Joint) -> list[str]:
-        """Return the joints that an active equality `joint` of the model ties to a joint."""
-        m, own = self.model, int(self.model.dof_jntid[joint.dof])
-        ties = (i for i in range(m.neq) if m.eq_type[i] == int(self._mujoco.mjtEq.mjEQ_JOINT) and m.eq_active0[i])
-        pairs = [{int(m.eq_obj1id[i]), int(m.eq_obj2id[i])} for i in ties]
-        return [self._name("joint", i) for pair in pairs if own in pair for i in sorted(pair - {own, -1})]
+        own, found = {*self._moved(joint.dof)}, list[str]()
+        for pose in self.poses:
+            lacking, depends = pose.lacking(measured), pose.dof in self._closure.dependent
+            if lacking and not depends and own & {*self._behind(pose.dof)}:
+                whole = len(lacking) == len((*pose.place, *pose.turn))
+                found += [pose.name] if whole else lacking
+        for name, other in self.joints.items():
+            if name not in measured and other.dof not in self._closure.dependent and own & {*self._moved(other.dof)}:
+                found.append(name)
+        return [name for name in found if name != joint.name]
 
     def last_link(self, joint: Joint) -> Link:
         """Return the link at the end of the mechanism behind a joint."""
@@ -219,22 +244,28 @@ class Mechanism:
             return Link(self._name("body", root), start + reach, np.zeros(3), 0.0)
         return Link(self._name("body", root), start.copy(), reach / distance, distance)
 
-    def touching(self, motion: Mapping[str, Sequence[Array]]) -> NDArray[np.bool_]:
-        """Return whether bodies touch at each sample of a measured motion, [T]."""
-        mujoco, model = self._mujoco, self.model
-        size = len(next(iter(motion.values()))[0])
-        found = np.zeros(size, dtype=bool)
+    def held(self, joint: Joint, course: Course) -> NDArray[np.bool_]:
+        """Return whether something unknown acts on a joint at each sample of a measured motion, [T].
+
+        That is a contact of a body that the joint moves, a limit of a joint that follows it, or a position that the
+        model's equalities do not allow. A contact between two bodies that it moves has no torque about it.
+        """
+        mujoco, model, position = self._mujoco, self.model, course.centre.position
+        found = ~course.centre.closed | ~course.above.closed | ~course.below.closed
+        for other in (self.joints[name] for name in joint.followers):
+            low, high = other.range
+            found |= (position[:, other.position] <= low) | (position[:, other.position] >= high)
         if not (model.ngeom and (model.geom_contype | model.geom_conaffinity).any()):
             return found
-        data = mujoco.MjData(model)
-        for k in range(size):
-            data.qpos[:] = model.qpos0
-            for name, (position, *_) in motion.items():
-                data.qpos[self.joints[name].position] = position[k]
+        data, moves = mujoco.MjData(model), np.isin(model.geom_bodyid, self._moved(joint.dof))
+        for k in range(len(position)):
+            data.qpos[:] = position[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_collision(model, data)
-            found[k] = data.ncon > 0
+            if data.ncon:
+                one, other = moves[data.contact.geom].T
+                found[k] |= bool((one != other).any())
         return found
 
     def _changed(self, joint: Joint, change: Change) -> Any:
@@ -243,7 +274,7 @@ class Mechanism:
         number = self.model.dof_jntid[joint.dof]
         model.dof_damping[joint.dof], model.dof_armature[joint.dof] = 0.0, joint.armature
         model.jnt_stiffness[number] = 0.0
-        bodies = [self._body(change.body)] if change.body else self._behind(joint.dof)
+        bodies = [self._body(change.body)] if change.body else self._moved(joint.dof)
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
         if change.length_share:
@@ -257,8 +288,12 @@ class Mechanism:
         return model
 
     def carries(self, joint: Joint) -> bool:
-        """Return whether another joint follows behind a hinge, so that the length of its link matters."""
-        return joint.turns and len({int(self.model.body_weldid[self._body(name)]) for name in joint.bodies}) > 1
+        """Return whether another joint follows behind a hinge of an open chain, so that its link's length matters."""
+        return (
+            joint.turns
+            and not joint.followers
+            and len({int(self.model.body_weldid[self._body(name)]) for name in joint.bodies}) > 1
+        )
 
     def _stretch(self, model: Any, body: int, factor: float) -> None:
         """Move everything on the rigid link of a body, the next joints included, away from its joint."""
@@ -298,23 +333,27 @@ class Mechanism:
                 found.append(body)
         return found
 
+    def _moved(self, dof: int) -> list[int]:
+        """Return the bodies that a joint moves, with those of the joints that follow it."""
+        followers = np.flatnonzero(self._follows[:, dof])
+        return sorted({body for each in followers for body in self._behind(int(each))})
+
+    def _order(self, measured: Collection[str], moved: Collection[str]) -> list[int]:
+        """Return all degrees of freedom, the last joint of the model first and measured joints last."""
+        names = [self._name("joint", int(number)) for number in self.model.dof_jntid]
+        return sorted(range(len(names)), key=lambda dof: (names[dof] in measured, names[dof] in moved, -dof))
+
     def _body(self, name: str) -> int:
         return next(i for i in range(self.model.nbody) if self._name("body", i) == name)
 
     def _name(self, kind: str, number: int) -> str:
         return str(getattr(self.model, kind)(number).name) or f"{kind}{number}"
 
-    def _refuse_loops(self) -> None:
-        kinds = self._mujoco.mjtEq
-        loops = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
-        if any(kind in loops for kind in self.model.eq_type):
-            raise TrialError(
-                f"{self.path}: the model closes a loop (an equality `connect` or `weld`), which is not supported; "
-                "allowed are open trees; describe one branch without the equality"
-            )
-
     def _joint(self, number: int) -> Joint:
         m, dof = self.model, int(self.model.jnt_dofadr[number])
+        ratios = self._ratios[:, dof]
+        actuator, problem = (None, "") if dof in self._closure.dependent else self._actuators.of(dof)
+        followers = [int(each) for each in np.flatnonzero(self._follows[:, dof]) if each != dof]
         low, high = m.jnt_range[number] if m.jnt_limited[number] else (-np.inf, np.inf)
         position = int(m.jnt_qposadr[number])
         return Joint(
@@ -328,71 +367,29 @@ class Mechanism:
             rest=float(m.qpos_spring[position]),
             armature=float(m.dof_armature[dof]),
             range=(float(low), float(high)),
-            actuator=self._actuator(number),
-            bodies=tuple(self._name("body", i) for i in self._behind(dof)),
+            actuator=actuator,
+            bodies=tuple(self._name("body", i) for i in self._moved(dof)),
+            problem=f"{self.path}: {problem}" if problem else "",
+            followers=tuple(dict.fromkeys(self._name("joint", int(m.dof_jntid[each])) for each in followers)),
+            followers_dry=float(np.abs(ratios[followers]) @ m.dof_frictionloss[followers]),
         )
 
-    def _actuator(self, number: int) -> Actuator | None:
-        """Return the actuator of a joint, or None; raise TrialError if there are several."""
-        m, mujoco = self.model, self._mujoco
-        own = [i for i in range(m.nu) if m.actuator_trnid[i, 0] == number]
-        if not own:
-            return None
-        name, i = self._name("actuator", own[0]), own[0]
-        if len(own) > 1:
-            others = ", ".join(self._name("actuator", k) for k in own)
-            raise TrialError(
-                f"{self.path}: joint {self._name('joint', number)} has {len(own)} actuators ({others}); allowed is "
-                "one; join them, or remove them from the model and give the joint's torque under `torque`"
-            )
-        gear = float(m.actuator_gear[i, 0])
-        bias = m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE))
-        low, high = -np.inf, np.inf
-        if m.actuator_forcelimited[i]:
-            low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
-        if m.jnt_actfrclimited[number]:
-            low, high = max(low, float(m.jnt_actfrcrange[number, 0])), min(high, float(m.jnt_actfrcrange[number, 1]))
-        ctrl = m.actuator_ctrlrange[i] if m.actuator_ctrllimited[i] else (-np.inf, np.inf)
-        delay = getattr(m, "actuator_delay", None)
-        return Actuator(
-            name=name,
-            scale=gear * float(m.actuator_gainprm[i, 0]),
-            offset=gear * float(bias[0]),
-            kp=-gear * gear * float(bias[1]),
-            kd=-gear * gear * float(bias[2]),
-            low=low,
-            high=high,
-            command_low=float(ctrl[0]),
-            command_high=float(ctrl[1]),
-            lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_NONE) else 0.0,
-            delay_s=0.0 if delay is None else float(delay[i]),
-            gear=gear,
-        )
-
-    def _refuse_actuators(self) -> None:
-        """Raise TrialError for an actuator that is not affine in its command, or that acts on no single joint."""
-        m, gain, bias, dyn = self.model, self._mujoco.mjtGain, self._mujoco.mjtBias, self._mujoco.mjtDyn
-        at_joint = (int(self._mujoco.mjtTrn.mjTRN_JOINT), int(self._mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        for i in range(m.nu):
-            affine = m.actuator_gaintype[i] == int(gain.mjGAIN_FIXED)
-            affine &= m.actuator_biastype[i] in map(int, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE))
-            affine &= m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT))
-            if not affine or m.actuator_trntype[i] not in at_joint:
-                raise TrialError(
-                    f"{self.path}: actuator {self._name('actuator', i)} is neither a motor, position, velocity nor "
-                    "general actuator of one joint with fixed gain and affine bias; write it as one of these, or "
-                    "remove it from the model and give the torques of its joints under `torque`"
-                )
+    def _pose(self, number: int) -> PoseJoint:
+        m, free = self.model, int(self._mujoco.mjtJoint.mjJNT_FREE)
+        body = self._name("body", int(m.jnt_bodyid[number]))  # floating joints seldom have a name of their own
+        floats, name = bool(m.jnt_type[number] == free), str(m.joint(number).name) or body
+        return PoseJoint(name, floats, int(m.jnt_qposadr[number]), int(m.jnt_dofadr[number]))
 
 
-def mechanism(path: Path) -> Mechanism:
-    """Return the mechanism of a model file, loaded again only after a change of the file."""
-    return _mechanism(path, path.stat().st_mtime_ns if files.is_file(path) else 0)
+def mechanism(path: Path, measured: Iterable[str] = (), moved: Iterable[str] = ()) -> Mechanism:
+    """Return the mechanism of a model file, loaded again only after a change of the file; see `Mechanism`."""
+    changed_ns = path.stat().st_mtime_ns if files.is_file(path) else 0
+    return _mechanism(path, frozenset(measured), frozenset(moved), changed_ns)
 
 
 @lru_cache(maxsize=8)
-def _mechanism(path: Path, changed_ns: int) -> Mechanism:
-    return Mechanism(path)
+def _mechanism(path: Path, measured: frozenset[str], moved: frozenset[str], changed_ns: int) -> Mechanism:
+    return Mechanism(path, measured, moved)
 
 
 def _mujoco(path: Path) -> Any:

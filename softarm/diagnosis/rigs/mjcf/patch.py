@@ -48,7 +48,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     if not found:
         return None
     before = path.read_text()
-    model, edits, left_out = mechanism(path), _Edits(before), []
+    model, edits, left_out = mechanism(path, {place.partition(".")[0] for place in found}), _Edits(before), []
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
     tilts: dict[str, list[float]] = {}  # axis -> the base's tilt about it by each joint that it loads, rad
@@ -86,6 +86,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
 
 def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:
     """Write a parameter into the file and return whether the format can express it."""
+    if parameter == "coulomb_friction.torque":
+        value = max(value - joint.followers_dry, 0.0)
     if parameter in _JOINT:
         return edits.set(("joint",), joint.name, _JOINT[parameter], _short(value))
     actuator = joint.actuator
@@ -104,7 +106,7 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
         edits.set(("position",), actuator.name, "kp", _short(stiff * actuator.kp / actuator.gear**2))
         return edits.set(("position",), actuator.name, "kv", _short(factor * actuator.kd / actuator.gear**2))
     if edits.kind(_ACTUATORS, actuator.name) == "motor":
-        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.gear))
+        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.own_gear))
     return False
 
 

@@ -94,10 +94,10 @@ class RuntimeEffects:
         Raises:
             TrialError: the model cannot be read, or lacks a joint of the verdict.
         """
-        robot = mechanism(model)
+        found, intervals = Verdict.model_validate_json(verdict.read_bytes()), {}
+        robot = mechanism(model, found.where.share)
         joints = tuple(robot.joints.values())
         values = {name: np.full(len(joints), default, float) for name, default in Parameters._field_defaults.items()}
-        found, intervals = Verdict.model_validate_json(verdict.read_bytes()), {}
         for path, of in found.findings(calibration, best_fit).items():
             stage, _, name = path.partition(".")
             if field := _FIELDS.get(name):
@@ -143,7 +143,8 @@ class RuntimeEffects:
         Args:
             state: state before the step.
             ctrl: commands of the policy, [..., J]; any number for a joint without an actuator.
-            motion: position, speed and torque of the actuator (`qfrc_actuator`) of each joint, [..., J] each.
+            motion: position, speed and torque of the actuator of each joint, [..., J] each. The torque is
+                `qfrc_actuator`, or `actuator_force` times `gear` of a joint that others follow by an equality.
             xp: numpy or jax.numpy.
         """
         p, gear, loop, (position, speed, torque) = self.parameters, self.gear, self.loop, motion
@@ -189,6 +190,8 @@ class Simulation:
         names = [joint.actuator.name if joint.actuator else "" for joint in effects.joints]
         self._driven = np.array([k for k, name in enumerate(names) if name], dtype=int)
         self._ctrl = np.array([model.actuator(name).id for name in names if name], dtype=int)
+        leads = [bool(effects.joints[k].followers) for k in self._driven]  # the actuator moves others as well
+        self._leading, self._leading_ctrl = self._driven[leads], self._ctrl[leads]
         self.readings = np.zeros(len(names))  # of the joints, [J]
         self.reset()
 
@@ -203,7 +206,9 @@ class Simulation:
         """Advance by one step of the model under the commands ctrl [nu]; updates `readings`."""
         data, dof, commands = self._data, self._dof, np.zeros(len(self._effects.joints))
         commands[self._driven] = ctrl[self._ctrl]
-        motion = data.qpos[self._position], data.qvel[dof], data.qfrc_actuator[dof]
+        torque = data.qfrc_actuator[dof]
+        torque[self._leading] = data.actuator_force[self._leading_ctrl] * self._effects.gear[self._leading]
+        motion = data.qpos[self._position], data.qvel[dof], torque
         self._state, applied = self._effects.apply(self._state, commands, motion)
         data.ctrl[:] = ctrl
         data.ctrl[self._ctrl] = applied.ctrl[self._driven]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Joint
+from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, joined
 from softarm.diagnosis.rigs.motion import Motion, directions
 

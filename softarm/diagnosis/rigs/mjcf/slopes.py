@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
 
 # Changes at which the terms are computed.
 MASS_STEP, PAYLOAD_STEP_KG, TILT_STEP_RAD = 0.1, 0.05, 0.05
@@ -48,14 +48,14 @@ class Slopes(NamedTuple):
         return found
 
 
-def slopes(mechanism: Mechanism, joint: Joint, around: Mapping[str, tuple[Array, Array, Array]]) -> Slopes:
+def slopes(mechanism: Mechanism, joint: Joint, course: Course) -> Slopes:
     """Return the rigid-body terms of a joint and their changes along a measured motion."""
     centre_m = mechanism.last_link(joint).centre_m
     distances = (0.0, centre_m, 2 * centre_m) if centre_m else (0.0,)
-    base = mechanism.terms(joint, around)
+    base = mechanism.terms(joint, course)
 
     def changed(change: Change) -> Array:
-        return mechanism.terms(joint, around, change) - base
+        return mechanism.terms(joint, course, change) - base
 
     loads = [Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance) for distance in distances]
     shares = LENGTH_SHARES if mechanism.carries(joint) else ()

@@ -15,8 +15,9 @@ from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
+from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
-from softarm.diagnosis.rigs.mjcf.mechanism import Actuator, Change, mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
@@ -76,8 +77,9 @@ class JointView(RigView):
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
         stage = stage_of(trials)
-        self._mechanism = mechanism(Path(str(stage.model["mjcf"])))
+        self._mechanism = mechanism(Path(str(stage.model["mjcf"])), *_columns(trials))
         self._joint = joint = self._mechanism.joint(stage.name)
+        self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
         self._actuator, self._inputs = self._drive(trials)
         column = joint.name
@@ -85,9 +87,11 @@ class JointView(RigView):
         limit = _acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
-        self._terms = [slopes(self._mechanism, joint, around) for around in self._around]
+        self._courses = [self._mechanism.course(joint, around) for around in self._around]
+        self._terms = [slopes(self._mechanism, joint, course) for course in self._courses]
         self._torques = Torques(self._terms, self._motions)
-        self.driven_by = self._mechanism.coupled(joint, trials[0].channel("measured").columns)
+        measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
+        self.driven_by = self._mechanism.coupled(joint, measured)
         self._refuse_mistakes(trials)
         self.assumptions = tuple(checks.assumptions(self._mechanism, joint, self._around[0]))
         self._scales = scales = self._measure(step)
@@ -131,10 +135,13 @@ class JointView(RigView):
         Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed. If the
         majority does, all are kept.
         """
+        if all(around.keys() == {self._joint.name} for around in self._around):
+            return 0.0
         smooth = []
         for around in self._around:
             others = {n: (*m[:2], _smooth(m[2])) for n, m in around.items() if n != self._joint.name}
-            smooth.append(self._mechanism.terms(self._joint, {**around, **others}))
+            course = self._mechanism.course(self._joint, {**around, **others})
+            smooth.append(self._mechanism.terms(self._joint, course))
         own, simulation = self._values([{}]), self._simulation
         moved = simulation.residuals(own, np.concatenate(smooth, axis=1)) - simulation.residuals(own)
         simulation.free_starts(moved)
@@ -184,6 +191,8 @@ class JointView(RigView):
         joint, actuator, channel = self._joint, self._joint.actuator, "command"
         if not _lacking(trials, "torque", joint.name):
             actuator, channel = Actuator(joint.name), "torque"
+        elif joint.problem:
+            raise TrialError(joint.problem)
         elif actuator is None:
             return None, []
         elif lacking := _lacking(trials, channel, actuator.name):
@@ -194,12 +203,24 @@ class JointView(RigView):
         low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
         return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
 
+    def _refuse_follower(self, trials: Sequence[Trial]) -> None:
+        """Raise TrialError for a joint whose motion that of another determines."""
+        joint = self._joint
+        if leader := self._mechanism.leader(joint):
+            raise TrialError(
+                f"{trials[0].source}: joint {joint.name} follows {leader} by an equality of the model and has no gap "
+                "of its own; move its column from `measured` to `base`"
+            )
+
     def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
-        """Return position, speed and acceleration of every measured joint on the grid of the own joint's motion."""
-        found = {}
+        """Return position, speed and acceleration of every measured column on the grid of the own joint's motion."""
+        found, poses = {}, {name for pose in self._mechanism.poses for name in (*pose.place, *pose.turn)}
         for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
+            for pose in self._mechanism.poses:
+                series = pose.continuous(series, trial.source)
             for name in series.columns:
-                self._mechanism.joint(name)
+                if name not in poses:
+                    self._mechanism.joint(name)
                 if name == self._joint.name:
                     found[name] = own.position, own.speed, own.acceleration
                 else:
@@ -216,7 +237,7 @@ class JointView(RigView):
         actuator = self._actuator  # a measured torque has taken the place of the model's
         joint = replace(self._joint, actuator=actuator)
         needed = [
-            torque(terms.base, m) + (joint.viscous * m.speed + joint.dry * np.sign(m.speed))
+            torque(terms.base, m) + (joint.viscous * m.speed + joint.friction * np.sign(m.speed))
             for m, terms in zip(self._motions, self._terms, strict=True)
         ]
         seen, sent = np.concatenate([m.position for m in self._motions]), None
@@ -240,7 +261,7 @@ class JointView(RigView):
         heavier, loaded = torques.total(x.heavier for x in terms), torques.total(x.loaded[-1] for x in terms)
         felt = FELT * rms(needed)
         inertia = float(np.mean(np.concatenate([x.base[laws.INERTIA] for x in terms])))
-        floor = joint.viscous * speed + joint.dry  # a model without bodies needs this much at least
+        floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least
         return JointScales(
             joint=joint,
             driven=actuator is not None,
@@ -279,7 +300,7 @@ class JointView(RigView):
     def _nominal(self) -> dict[str, float]:
         joint, actuator = self._joint, self._actuator
         found = {
-            "coulomb_friction.torque": joint.dry,
+            "coulomb_friction.torque": joint.friction,
             "damping.viscous": joint.viscous,
             "armature.inertia": joint.armature,
             "spring.stiffness": joint.spring,
@@ -294,7 +315,7 @@ class JointView(RigView):
         s, give = self._scales, self._known["coulomb_friction.give"]
         own = {
             "spring.stiffness": OF_OWN * self._joint.spring,
-            "coulomb_friction.torque": max(OF_OWN * self._joint.dry, OF_FORCE * s.usual),
+            "coulomb_friction.torque": max(OF_OWN * self._joint.friction, OF_FORCE * s.usual),
             "coulomb_friction.give": max(give, GIVES[-1] * s.give - give),
             "damping.viscous": max(OF_OWN * self._joint.viscous, OF_FORCE * s.usual / s.speed),
             "armature.inertia": max(OF_OWN * self._joint.armature, OF_FORCE * s.inertia),
@@ -347,8 +368,10 @@ class JointView(RigView):
     def _with_heavier_bodies(self) -> list[Array]:
         """Rigid-body terms with each body behind the joint heavier, [ROWS, M] each."""
         changes = [Change(mass_share=OF_OWN, body=name.partition(".mass_")[2]) for name in self.own_nuisances]
-        terms = self._mechanism.terms
-        return [np.concatenate([terms(self._joint, a, change) for a in self._around], axis=1) for change in changes]
+        terms, courses = self._mechanism.terms, self._courses
+        return [
+            np.concatenate([terms(self._joint, course, change) for course in courses], axis=1) for change in changes
+        ]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -378,7 +401,7 @@ class JointView(RigView):
     def _compared(self, k: int) -> Array:
         """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
-        out = self._mechanism.touching(self._around[k]) | (m.position <= low) | (m.position >= high)
+        out = self._mechanism.held(self._joint, self._courses[k]) | (m.position <= low) | (m.position >= high)
         return np.where(_widened(out, m.grid.step_s), np.nan, m.seen)
 
     def _signals(self, k: int) -> dict[str, Array]:
@@ -399,6 +422,12 @@ class JointView(RigView):
         for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
             signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s)
         return signals
+
+
+def _columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
+    """Return the columns of `measured` and of `base`."""
+    measured, base = ([t.channels[name].columns for t in trials if name in t.channels] for name in ("measured", "base"))
+    return set().union(*measured), set().union(*base)
 
 
 def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:

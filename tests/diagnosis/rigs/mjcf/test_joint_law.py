@@ -63,7 +63,8 @@ def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
         data.ctrl[0] = command[k]
         mujoco.mj_step(model, data)
     joint = Mechanism(file).joint("elbow")
-    path = Mechanism(file).terms(joint, {"elbow": (q, v, np.zeros(3000))})
+    robot = Mechanism(file)
+    path = robot.terms(joint, robot.course(joint, {"elbow": (q, v, np.zeros(3000))}))
     servo = joint.actuator
     own = law(KP=servo.kp, KD=servo.kd, LOW=servo.low, HIGH=servo.high, VISCOUS=joint.viscous, DRY=joint.dry)
     assert travelled(own, joint.actuator.scale * command, path) == pytest.approx(q, abs=5e-4)

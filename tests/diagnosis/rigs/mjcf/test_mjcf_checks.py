@@ -102,8 +102,8 @@ def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
     assert bool(found) == refused
 
 
-def test_joints_that_are_not_measured_and_joints_that_are_tied_are_stated(tmp_path, recorded):
-    """The tilt rides on the pan axis and on the vehicle, and turns a knob with it."""
+def test_joints_that_are_not_measured_are_stated_and_followers_are_not(tmp_path, recorded):
+    """The tilt rides on the pan axis, on the vehicle and on a ship, and turns a knob with it."""
     trunk = '<body name="vehicle">', '<body name="ship"><freejoint name="root"/><geom size="0.1"/><body name="vehicle">'
     assert not view(tmp_path, recorded, "camera", "tilt").warnings({})
     text = ROBOTS["camera"].model.read_text().replace(*trunk).replace("</worldbody>", "</body></worldbody>", 1)
@@ -111,13 +111,13 @@ def test_joints_that_are_not_measured_and_joints_that_are_tied_are_stated(tmp_pa
     tie = '</worldbody><equality><joint joint1="tilt" joint2="knob"/></equality>'
     text = text.replace("</worldbody>", knob, 1).replace("</worldbody>", tie, 1)
     (tmp_path / "tied.xml").write_text(text)
-    mechanism = Mechanism(tmp_path / "tied.xml")
-    tilt = mechanism.joint("tilt")
-    still, tied = assumptions(mechanism, tilt, ("pan", "tilt"))
+    mechanism, measured = Mechanism(tmp_path / "tied.xml", ("pan", "tilt")), dict.fromkeys(("pan", "tilt"))
+    (still,) = assumptions(mechanism, mechanism.joint("tilt"), measured)
     assert still.startswith("tilt: no column measures root, track, which carry it or are carried by it: they count as")
-    assert tied.startswith("tilt: the model ties it to knob (an equality), which is left out")
-    (other,) = assumptions(mechanism, mechanism.joint("knob"), ("pan", "tilt"))
-    assert other.startswith("knob: the model ties it to tilt")
+    turned = measured | dict.fromkeys(("root_qw", "root_qx", "root_qy", "root_qz"))
+    (still,) = assumptions(mechanism, mechanism.joint("tilt"), turned)
+    assert "no column measures root_x, root_y, root_z, track, which" in still
+    assert mechanism.leader(mechanism.joint("knob")) == "tilt"
 
 
 def test_stretches_of_a_recording_are_too_short_to_be_judged(tmp_path, recorded):

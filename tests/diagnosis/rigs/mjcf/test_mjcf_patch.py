@@ -47,6 +47,15 @@ def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path)
     assert actuator.forcerange.tolist() == [-2.5, 2.5]
 
 
+def test_a_joint_that_another_follows_has_the_friction_and_the_gains_of_both(tmp_path):
+    """The tendon of the gripper moves both fingers by half, and 1.2 N of the friction belong to the other finger."""
+    changes = [("left.coulomb_friction.torque", 3.0, "N"), ("left.position_gain.scale", -0.2, "-")]
+    model = read(patch.patched(ROBOTS["gripper"].model, verdict(changes), calibration=True), tmp_path)
+    assert model.dof_frictionloss[model.joint("left").dofadr[0]] == pytest.approx(1.8)
+    assert model.dof_frictionloss[model.joint("right").dofadr[0]] == pytest.approx(1.2)
+    assert model.actuator("grip_servo").gainprm[0] == pytest.approx(720)
+
+
 def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
     payloads = [
         ("elbow.payload.mass", 0.1, "kg"),

@@ -60,7 +60,8 @@ def test_mujoco_moves_as_the_fitted_law(tmp_path, name, sizes, same):
     actuator = joint.actuator
     known = {"KP": actuator.kp, "KD": actuator.kd, "LOW": actuator.low, "HIGH": actuator.high}
     known |= {"VISCOUS": joint.viscous, "DRY": joint.dry}
-    path = Mechanism(model).terms(joint, {"elbow": (true, speed, np.zeros(STEPS))})
+    robot = Mechanism(model)
+    path = robot.terms(joint, robot.course(joint, {"elbow": (true, speed, np.zeros(STEPS))}))
     drive = actuator.scale * COMMAND
     expected = travelled(law(**known, **same), drive, path, start=(seen[0], 0.0))
     without = travelled(law(**known), drive, path)
@@ -128,3 +129,16 @@ def test_a_verdict_of_another_robot_is_refused(tmp_path):
     )
     with pytest.raises(TrialError, match="no hinge or slide joint elbow"):
         RuntimeEffects.read(file, ROBOTS["camera"].model)
+
+
+def test_friction_by_load_is_a_share_of_the_whole_torque_of_a_tendon(tmp_path):
+    """The tendon moves the gripper's left finger by half, and the right one by the other half."""
+    file, model = written(tmp_path, ROBOTS["gripper"].model.read_text(), exact("left.load_friction", share=0.1))
+    robot = mujoco.MjModel.from_xml_path(str(model))
+    data = mujoco.MjData(robot)
+    simulation = Simulation(RuntimeEffects.read(file, model), robot, data)
+    for _ in range(2):
+        simulation.step(np.array([0.0, 0.01]))
+    force, dry = abs(data.actuator("grip_servo").force[0]), robot.dof_frictionloss[robot.joint("left").dofadr[0]]
+    assert force > 5
+    assert dry == pytest.approx(1.2 + 0.1 * force, rel=0.05)

@@ -1,0 +1,124 @@
+"""Actuators of a MuJoCo model, and the joints that they move."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.closure import Closure
+
+# Share of an actuator's largest moment below which it moves no joint, and of a moment that changes with position.
+MOVES = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """Affine actuator of one joint: joint torque = scale command + offset - kp position - kd speed, clipped.
+
+    Units are those of the joint's torque (N m or N) and position (rad or m).
+    """
+
+    name: str
+    scale: float = 1.0
+    offset: float = 0.0
+    kp: float = 0.0
+    kd: float = 0.0
+    low: float = -np.inf  # without a limit
+    high: float = np.inf
+    command_low: float = -np.inf
+    command_high: float = np.inf
+    lag_s: float = 0.0
+    delay_s: float = 0.0
+    gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
+    own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
+
+
+class Actuators:
+    """All actuators of a model, by the joint that they move."""
+
+    def __init__(self, mujoco: Any, model: Any, closure: Closure, name_of: Callable[[str, int], str]) -> None:
+        """Find which independent degrees of freedom each actuator moves; name_of("joint", number) returns a name."""
+        self._mujoco, self._model, self._name_of = mujoco, model, name_of
+        self._zero = closure.zero()
+        self._moments, self._lengths = self._transmission(closure, self._zero)
+        self._elsewhere, _ = self._transmission(closure, closure.away())
+        self._most = np.maximum(np.abs(self._moments), np.abs(self._elsewhere)).max(axis=1, initial=1e-300)
+
+    def of(self, dof: int) -> tuple[Actuator | None, str]:
+        """Return the actuator of an independent degree of freedom, or None, and why the model's cannot be used."""
+        own = [i for i in range(self._model.nu) if self._moves(i)[dof]]
+        number = int(self._model.dof_jntid[dof])
+        joint = self._name_of("joint", number)
+        if not own:
+            return None, ""
+        names = ", ".join(self._name_of("actuator", i) for i in own)
+        instead = f"give its torque under `torque`, as {joint}"
+        if len(own) > 1:
+            return None, f"joint {joint} has {len(own)} actuators ({names}); allowed is one; join them, or {instead}"
+        if not (self._is_affine(own[0]) and self._is_of_one_joint(own[0], dof)):
+            return None, (
+                f"joint {joint} is moved by {names}, which is neither a motor, position, velocity nor general actuator "
+                "of one joint, or of a tendon with a constant ratio to it, with fixed gain and affine bias; write it "
+                f"as one of these, or {instead}"
+            )
+        return self._read(own[0], dof, number), ""
+
+    def _transmission(self, closure: Closure, position: Array) -> tuple[Array, Array]:
+        """Return moments about the independent degrees of freedom [nu, nv] and lengths [nu] at a position."""
+        mujoco, model, data = self._mujoco, self._model, self._mujoco.MjData(self._model)
+        data.qpos[:] = position
+        mujoco.mj_forward(model, data)
+        moments = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(
+            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel()
+        )
+        return moments @ closure.ratios(position), np.array(data.actuator_length)
+
+    def _moves(self, i: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Return which degrees of freedom an actuator moves, [nv]."""
+        moments = np.maximum(np.abs(self._moments[i]), np.abs(self._elsewhere[i]))
+        return np.asarray(moments > MOVES * self._most[i])
+
+    def _is_affine(self, i: int) -> bool:
+        m, gain, bias, dyn = self._model, self._mujoco.mjtGain, self._mujoco.mjtBias, self._mujoco.mjtDyn
+        affine = m.actuator_gaintype[i] == int(gain.mjGAIN_FIXED)
+        affine &= m.actuator_biastype[i] in map(int, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE))
+        return bool(
+            affine & (m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT)))
+        )
+
+    def _is_of_one_joint(self, i: int, dof: int) -> bool:
+        """Return whether an actuator moves one joint alone, and its length is a multiple of that joint's position."""
+        ratio, position = self._moments[i, dof], self._zero[self._model.jnt_qposadr[self._model.dof_jntid[dof]]]
+        slack = MOVES * self._most[i]
+        constant = abs(ratio - self._elsewhere[i, dof]) < slack
+        return bool(constant and self._moves(i).sum() == 1 and abs(self._lengths[i] - ratio * position) < slack)
+
+    def _read(self, i: int, dof: int, number: int) -> Actuator:
+        m, mujoco = self._model, self._mujoco
+        gear, own_gear = float(self._moments[i, dof]), float(m.actuator_gear[i, 0])
+        bias = m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE))
+        low, high = -np.inf, np.inf
+        if m.actuator_forcelimited[i]:
+            low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
+        if m.jnt_actfrclimited[number]:
+            low, high = max(low, float(m.jnt_actfrcrange[number, 0])), min(high, float(m.jnt_actfrcrange[number, 1]))
+        ctrl = m.actuator_ctrlrange[i] if m.actuator_ctrllimited[i] else (-np.inf, np.inf)
+        delay = getattr(m, "actuator_delay", None)
+        return Actuator(
+            name=self._name_of("actuator", i),
+            scale=gear * float(m.actuator_gainprm[i, 0]),
+            offset=gear * float(bias[0]),
+            kp=-gear * gear * float(bias[1]),
+            kd=-gear * gear * float(bias[2]),
+            low=low,
+            high=high,
+            command_low=float(ctrl[0]),
+            command_high=float(ctrl[1]),
+            lag_s=float(m.actuator_dynprm[i, 0]) if m.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_NONE) else 0.0,
+            delay_s=0.0 if delay is None else float(delay[i]),
+            gear=gear,
+            own_gear=own_gear,
+        )

@@ -1,0 +1,182 @@
+"""Dependent joints of a model with equalities: closed chains, mimic joints and coupled tendons.
+
+Coordinate partitioning (Wehage and Haug 1982, Generalized Coordinate Partitioning for Dimension Reduction in Analysis
+of Constrained Dynamic Systems): the equalities determine the motion of the dependent degrees of freedom.
+"""
+
+import copy
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.view import Array
+
+# Newton steps at most, step at which they end (rad or m), and error of an equality up to which it is met (m or rad).
+NEWTON_MOST, STEP_LEAST, MET = 20, 1e-6, 1e-5
+# Steps from the model's zero to the first sample.
+APPROACH = 20
+# Time over which the Jacobian is differentiated, s.
+DIFFERENCE_S = 1e-4
+# Turn of every joint from the model's zero, where the number of dependent joints is counted: zeros are often singular.
+AWAY = 0.1
+# Share of a Jacobian's column below which it depends on earlier ones.
+DEPENDS = 1e-6
+
+
+class State(NamedTuple):
+    """Complete motion of a model at T samples."""
+
+    position: Array  # qpos [T, nq]
+    speed: Array  # qvel [T, nv]
+    acceleration: Array  # qacc [T, nv]
+    along: Array  # speed of every degree of freedom per speed of one independent one, [T, nv]
+    closed: NDArray[np.bool_]  # whether the equalities can be met, [T]
+
+
+class Closure:
+    """Equalities of a model, solved for the dependent degrees of freedom."""
+
+    def __init__(self, mujoco: Any, model: Any, order: Sequence[int]) -> None:
+        """Choose the dependent degrees of freedom.
+
+        Args:
+            mujoco: the module.
+            model: the model.
+            order: all degrees of freedom; the first become dependent if the equalities allow it.
+        """
+        self._mujoco, self._model = mujoco, copy.copy(model)
+        flags, option = mujoco.mjtDisableBit, self._model.opt
+        option.disableflags |= int(flags.mjDSBL_CONTACT) | int(flags.mjDSBL_LIMIT) | int(flags.mjDSBL_FRICTIONLOSS)
+        option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+        self._data = mujoco.MjData(self._model)
+        self._way = AWAY * np.random.default_rng(0).uniform(0.5, 1.0, model.nv)
+        jacobian, _ = self._equalities(self._moved(model.qpos0, self._way))
+        self.dependent = np.array(_dependent(jacobian, order), dtype=int)
+        self.independent = np.setdiff1d(np.arange(model.nv), self.dependent)
+
+    @property
+    def is_open(self) -> bool:
+        """Return whether no joint depends on another."""
+        return not len(self.dependent)
+
+    def ratios(self, position: Array) -> Array:
+        """Return the speed of every degree of freedom per speed of each independent one at a position, [nv, nv]."""
+        jacobian, _ = self._equalities(position)
+        return self._ratios(jacobian, self._inverse(jacobian))
+
+    def zero(self) -> Array:
+        """Return the position nearest to the model's zero that meets the equalities, qpos [nq]."""
+        return self._closed(self._model.qpos0)[0]
+
+    def away(self) -> Array:
+        """Return a position away from the model's zero that meets the equalities, qpos [nq]."""
+        return self._closed(self._moved(self._model.qpos0, self._way))[0]
+
+    def complete(
+        self, position: Array, speed: Array, acceleration: Array, dof: int, near: Array | None = None
+    ) -> State:
+        """Return the motion with that of the dependent degrees of freedom, whose given values are ignored.
+
+        Args:
+            position, speed, acceleration: of the model, [T, nq], [T, nv] and [T, nv].
+            dof: independent degree of freedom for `State.along`.
+            near: closed positions to start from [T, nq]; without them each sample starts from the one before.
+        """
+        size, nv = speed.shape
+        found = State(position.copy(), speed.copy(), acceleration.copy(), np.zeros((size, nv)), np.ones(size, bool))
+        if self.is_open:
+            found.along[:, dof] = 1.0
+            return found
+        last = self._approached(position[0]) if near is None else near[0]
+        for k in range(size):
+            start = position[k].copy()
+            self._take_dependent(start, last if near is None else near[k])
+            last, jacobian, found.closed[k] = self._closed(start)
+            found.position[k] = last
+            inverse = self._inverse(jacobian)
+            ratios = self._ratios(jacobian, inverse)
+            found.along[k] = ratios[:, dof]
+            found.speed[k] = ratios @ speed[k]
+            found.acceleration[k] = ratios @ acceleration[k] + self._bias(last, inverse, found.speed[k])
+        return found
+
+    def _approached(self, goal: Array) -> Array:
+        """Return a closed position near the first sample, reached from the model's zero in small steps."""
+        way, found = np.zeros(self._model.nv), self.zero()
+        self._mujoco.mj_differentiatePos(self._model, way, 1.0, self._model.qpos0, goal)
+        for share in np.linspace(0.0, 1.0, APPROACH + 1)[1:]:
+            position = self._moved(self._model.qpos0, share * way)
+            self._take_dependent(position, found)
+            found, *_ = self._closed(position)
+        return found
+
+    def _take_dependent(self, position: Array, source: Array) -> None:
+        """Set the dependent coordinates of a position to those of another."""
+        way = np.zeros(self._model.nv)
+        self._mujoco.mj_differentiatePos(self._model, way, 1.0, position, source)
+        way[self.independent] = 0.0
+        self._mujoco.mj_integratePos(self._model, position, way, 1.0)
+
+    def _closed(self, position: Array) -> tuple[Array, Array, bool]:
+        """Return the position with solved dependent coordinates, the Jacobian there, and whether they meet all."""
+        position, step = np.array(position, dtype=float), np.zeros(self._model.nv)
+        if self.is_open:
+            return position, np.zeros((0, self._model.nv)), True
+        for _ in range(NEWTON_MOST):
+            jacobian, error = self._equalities(position)
+            step[self.dependent] = -self._inverse(jacobian) @ error
+            self._mujoco.mj_integratePos(self._model, position, np.clip(step, -AWAY, AWAY), 1.0)
+            if np.abs(step).max() < STEP_LEAST:
+                break
+        jacobian, error = self._equalities(position)
+        return position, jacobian, bool(np.abs(error).max(initial=0.0) < MET)
+
+    def _inverse(self, jacobian: Array) -> Array:
+        """Return the pseudoinverse of the columns of the dependent degrees of freedom, [D, E]."""
+        own = jacobian[:, self.dependent]
+        try:
+            return np.asarray(np.linalg.solve(own.T @ own, own.T))  # a quarter of the time of the general one
+        except np.linalg.LinAlgError:
+            return np.asarray(np.linalg.pinv(own))
+
+    def _ratios(self, jacobian: Array, inverse: Array) -> Array:
+        found = np.zeros((self._model.nv, self._model.nv))
+        found[self.independent, self.independent] = 1.0
+        found[np.ix_(self.dependent, self.independent)] = -inverse @ jacobian[:, self.independent]
+        return found
+
+    def _bias(self, position: Array, inverse: Array, speed: Array) -> Array:
+        """Return the accelerations at constant speed of the independent degrees of freedom, [nv]."""
+        (after, _), (before, _) = (
+            self._equalities(self._moved(position, sign * DIFFERENCE_S * speed)) for sign in (1.0, -1.0)
+        )
+        change = (after - before) @ speed / (2 * DIFFERENCE_S)
+        found = np.zeros(self._model.nv)
+        found[self.dependent] = -inverse @ change
+        return found
+
+    def _moved(self, position: Array, way: Array) -> Array:
+        moved = np.array(position, dtype=float)
+        self._mujoco.mj_integratePos(self._model, moved, way, 1.0)
+        return moved
+
+    def _equalities(self, position: Array) -> tuple[Array, Array]:
+        """Return Jacobian [E, nv] and errors [E] of the active equalities at a position."""
+        data, nv = self._data, self._model.nv
+        data.qpos[:] = position
+        self._mujoco.mj_fwdPosition(self._model, data)
+        return np.array(data.efc_J).ravel()[: data.ne * nv].reshape(data.ne, nv), np.array(data.efc_pos[: data.ne])
+
+
+def _dependent(jacobian: Array, order: Sequence[int]) -> list[int]:
+    """Return the columns of a Jacobian in an order, each linearly independent of those before it."""
+    found, basis = list[int](), np.zeros((len(jacobian), 0))
+    most = float(np.linalg.norm(jacobian, axis=0).max(initial=0.0))
+    for column in order:
+        rest = jacobian[:, column] - basis @ (basis.T @ jacobian[:, column])
+        if (size := float(np.linalg.norm(rest))) > DEPENDS * most:
+            found.append(column)
+            basis = np.column_stack([basis, rest / size])
+    return found

@@ -1,0 +1,162 @@
+"""Models with equalities: closed chains, mimic joints and coupled tendons."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.reality.mechanisms.record import MODELS
+
+STEP_S = 2e-4
+# A gripper whose fingers a tendon moves and an equality couples.
+GRIPPER = """
+<mujoco>
+  <default><joint type="slide" axis="0 1 0" damping="2" frictionloss="0.3"/></default>
+  <worldbody>
+    <body name="palm"><joint name="wrist" type="hinge" axis="1 0 0" damping="0"/><geom size="0.02" mass="0.3"/>
+      <body name="left" pos="0 0 0.05"><joint name="left"/><geom size="0.01" mass="0.1"/></body>
+      <body name="right" pos="0 0 0.05"><joint name="right" axis="0 -1 0"/><geom size="0.01" mass="0.1"/></body>
+    </body>
+  </worldbody>
+  <contact><exclude body1="left" body2="right"/></contact>
+  <tendon><fixed name="split"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/></fixed></tendon>
+  <equality><joint joint1="left" joint2="right"/></equality>
+  <actuator><position name="grip" tendon="split" kp="100" kv="10" gear="2"/></actuator>
+</mujoco>
+"""
+
+
+def simulated(text, seconds, torque):
+    """Return position, speed, acceleration and applied torque of a stiffly closed model, [T, nv] each."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep, model.opt.integrator = STEP_S, mujoco.mjtIntegrator.mjINT_EULER
+    model.eq_solref[:] = 4 * STEP_S, 1
+    data, rows = mujoco.MjData(model), []
+    for k in range(round(seconds / STEP_S)):
+        data.qfrc_applied[:] = torque(k * STEP_S)
+        before = data.qpos.copy(), data.qvel.copy()
+        mujoco.mj_step(model, data)
+        rows.append((*before, data.qacc.copy(), data.qfrc_applied.copy()))
+    return tuple(np.array(x) for x in zip(*rows, strict=True))
+
+
+@pytest.fixture(scope="module")
+def linkage():
+    return Mechanism(MODELS / "linkage.xml", ("crank",))
+
+
+@pytest.fixture(scope="module")
+def swung():
+    text = (MODELS / "linkage.xml").read_text()
+    assert mujoco.MjModel.from_xml_string(text).joint(0).name == "crank"
+    rigid = text.replace('frictionloss="0.05"', "")  # dry friction is no part of the rigid-body terms
+    free = rigid[: rigid.index("<actuator>")] + "</mujoco>"
+    return simulated(free, 1.0, lambda t: np.array([1.5 * np.sin(9 * t), 0.0, 0.0]))
+
+
+def test_the_joints_of_a_closed_chain_follow_the_measured_one(linkage, swung):
+    q, v, a, _ = swung
+    crank, part = linkage.joint("crank"), slice(200, None, 50)
+    course = linkage.course(crank, {"crank": (q[part, 0], v[part, 0], a[part, 0])})
+    assert set(crank.followers) == {"coupler", "rocker"}
+    assert course.centre.closed.all()
+    assert course.centre.position == pytest.approx(q[part], abs=2e-3)
+    assert course.centre.speed == pytest.approx(v[part], abs=0.02 * np.abs(v).max())
+
+
+def test_the_terms_of_a_closed_chain_give_the_torque_that_moved_it_in_mujoco(linkage, swung):
+    q, v, a, torque = swung
+    crank, part = linkage.joint("crank"), slice(200, None, 50)
+    own = q[part, 0], v[part, 0], a[part, 0]
+    terms = linkage.terms(crank, linkage.course(crank, {"crank": own}))
+    needed = terms[laws.LOAD] + terms[laws.BY_POSITION] * own[0] + terms[laws.BY_SPEED] * own[1]
+    needed += terms[laws.INERTIA] * own[2] + crank.viscous * own[1]
+    assert needed == pytest.approx(torque[part, 0], abs=0.03 * np.abs(torque).max())
+
+
+def test_the_slope_by_position_of_a_closed_chain_is_the_load_at_another_angle(linkage):
+    crank, t = linkage.joint("crank"), np.linspace(0, 1, 7)
+    q, v, a = 0.5 * np.sin(6 * t), 3 * np.cos(6 * t), np.zeros(7)
+
+    def load(angle):
+        terms = linkage.terms(crank, linkage.course(crank, {"crank": (angle, v, a)}))
+        return terms, terms[laws.LOAD] + terms[laws.BY_POSITION] * angle + terms[laws.BY_SPEED] * v
+
+    terms, here = load(q)
+    _, there = load(q + 0.01)
+    assert there - here == pytest.approx(0.01 * terms[laws.BY_POSITION], rel=0.1, abs=2e-3)
+
+
+def test_an_angle_that_the_chain_cannot_reach_is_left_out(linkage):
+    crank, angle = linkage.joint("crank"), np.array([0.0, 0.2, 2.9])
+    held = linkage.held(crank, linkage.course(crank, {"crank": (angle, np.zeros(3), np.zeros(3))}))
+    assert held.tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(("measured", "other"), [("left", "right"), ("right", "left")])
+def test_a_tendon_and_an_equality_make_two_fingers_one_joint(tmp_path, measured, other):
+    file = tmp_path / "gripper.xml"
+    file.write_text(GRIPPER)
+    gripper = Mechanism(file, (measured, "wrist"))
+    finger = gripper.joint(measured)
+    assert finger.followers == (other,)
+    assert gripper.leader(gripper.joint(other)) == measured
+    assert finger.friction == pytest.approx(0.6)
+    # Length of the tendon 0.5 (1 + 1) times the finger's, gear 2.
+    assert (finger.actuator.gear, finger.actuator.kp, finger.actuator.kd) == pytest.approx((2, 400, 40))
+    zero = np.zeros(1)
+    terms = gripper.terms(finger, gripper.course(finger, {measured: (zero, zero, zero)}))
+    assert terms[laws.INERTIA, 0] == pytest.approx(0.2)
+    assert terms[laws.BY_SPEED, 0] == pytest.approx(2.0)  # damping of the other finger
+    assert not gripper.joint("wrist").followers
+
+
+def test_a_gripper_moves_as_one_joint_in_mujoco(tmp_path):
+    file = tmp_path / "gripper.xml"
+    file.write_text(GRIPPER.replace('frictionloss="0.3"', ""))
+    gripper = Mechanism(file, ("left",))
+    q, v, a, torque = simulated(
+        GRIPPER.replace('frictionloss="0.3"', "").replace('kp="100" kv="10"', 'kp="1e-9" kv="1e-9"'),
+        0.3,
+        lambda t: np.array([0.0, np.sin(20 * t), 0.5 * np.cos(20 * t)]),
+    )
+    left, part = gripper.joint("left"), slice(100, None, 50)
+    own = q[part, 1], v[part, 1], a[part, 1]
+    terms = gripper.terms(left, gripper.course(left, {"left": own, "wrist": (q[part, 0], v[part, 0], a[part, 0])}))
+    needed = terms[laws.LOAD] + terms[laws.BY_POSITION] * own[0] + terms[laws.BY_SPEED] * own[1]
+    needed += terms[laws.INERTIA] * own[2] + left.viscous * own[1]
+    assert needed == pytest.approx(torque[part, 1] + torque[part, 2], abs=0.02)
+
+
+def test_actuators_are_refused_at_the_joints_that_they_move_alone(tmp_path):
+    file = tmp_path / "model.xml"
+    file.write_text(
+        GRIPPER.replace('<equality><joint joint1="left" joint2="right"/></equality>', "").replace(
+            "<actuator>", '<actuator><muscle name="flexor" joint="wrist" lengthrange="0 1"/>'
+        )
+    )
+    model = Mechanism(file)
+    for name, actuator in (("left", "grip"), ("right", "grip"), ("wrist", "flexor")):
+        joint = model.joint(name)
+        assert joint.actuator is None
+        assert f"joint {name} is moved by {actuator}, which is neither" in joint.problem
+        assert f"give its torque under `torque`, as {name}" in joint.problem
+    motor = '<motor name="turn" joint="wrist"/>'
+    file.write_text(GRIPPER.replace("</actuator>", f"{motor}{motor.replace('turn', 'help')}</actuator>"))
+    assert "joint wrist has 2 actuators (turn, help)" in Mechanism(file).joint("wrist").problem
+
+
+def test_a_motor_at_a_follower_moves_its_leader(tmp_path):
+    file = tmp_path / "model.xml"
+    coupled = 'joint2="right" polycoef="0 -0.5 0 0 0"'
+    text = GRIPPER.replace('joint2="right"', coupled)
+    file.write_text(text[: text.index("<actuator>")] + '<actuator><motor name="m" joint="left"/></actuator></mujoco>')
+    right = Mechanism(file, ("right",)).joint("right")
+    assert (right.actuator.name, right.actuator.scale) == ("m", pytest.approx(-0.5))
+
+
+def test_an_unknown_joint_is_named():
+    with pytest.raises(TrialError, match="no hinge or slide joint motor"):
+        Mechanism(MODELS / "linkage.xml").joint("motor")
