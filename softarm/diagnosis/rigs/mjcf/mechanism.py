@@ -179,24 +179,26 @@ class Mechanism:
         """
         mujoco, model = self._mujoco, self._changed(joint, change)
         data, stage = mujoco.MjData(model), mujoco.mjtStage
-        q, v, a, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-        unknown, same_position, same_speed = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_POS, stage.mjSTAGE_VEL))
-
-        def needed(state: State, k: int, known: int) -> float:
-            q[:], v[:], a[:] = state.position[k], state.speed[k], state.acceleration[k]
-            mujoco.mj_inverseSkip(model, data, known, 1)
-            return float(forces @ state.along[k])
-
         (position, speed), centre, faster, above, below = course
         accelerated = centre._replace(acceleration=centre.acceleration + centre.along)
+        states = centre, accelerated, faster, above, below
+        new, same_speed, same_position = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_VEL, stage.mjSTAGE_POS))
+        known = new, same_speed, same_position, new, new  # stages whose results the evaluation before has left
+
+        q, v, a, forces, inverse = data.qpos, data.qvel, data.qacc, data.qfrc_inverse, mujoco.mj_inverseSkip
+        needed = np.empty((len(position), len(states), model.nv))
+        samples = zip(*(zip(each.position, each.speed, each.acceleration, strict=True) for each in states), strict=True)
+        for rows, sample in zip(needed, samples, strict=True):
+            for row, (qpos, qvel, qacc), stages in zip(rows, sample, known, strict=True):
+                q[:], v[:], a[:] = qpos, qvel, qacc
+                inverse(model, data, stages, 1)
+                row[:] = forces
+        along = np.stack([each.along for each in states], axis=1)
+        load, more, moving, over, under = np.einsum("tsv,tsv->st", needed, along)
+        by_position, by_speed = (over - under) / (2 * NUDGE), (moving - load) / NUDGE_SPEED
         found = np.empty((law.ROWS, len(position)))
-        for k in range(len(position)):
-            load = needed(centre, k, unknown)
-            inertia = needed(accelerated, k, same_speed) - load
-            by_speed = (needed(faster, k, same_position) - load) / NUDGE_SPEED
-            by_position = (needed(above, k, unknown) - needed(below, k, unknown)) / (2 * NUDGE)
-            zero = load - by_position * position[k] - by_speed * speed[k]
-            found[:, k] = inertia, zero, by_position, by_speed
+        found[law.INERTIA], found[law.BY_POSITION], found[law.BY_SPEED] = more - load, by_position, by_speed
+        found[law.LOAD] = load - by_position * position - by_speed * speed
         return found
 
     @property
