@@ -43,8 +43,8 @@ def calibrated(
     """
     found = calibrate(problem, fit)
     left, takes = _takes(setup, plain, fit, found)
-    worth = [i for i, share in takes.items() if share >= WORTH]
-    if len(worth) < len(takes):
+    # The others are fitted again without a parameter, and may then take less themselves.
+    while len(worth := [i for i, share in takes.items() if share >= WORTH]) < len(takes):
         found = calibrate(problem, fit, worth)
         left, takes = _takes(setup, plain, fit, found)
     scales = setup.nuisance_scales()
