@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from softarm.diagnosis.describe.proposal import Answers, Proposal, Question
     from softarm.diagnosis.describe.survey import Survey
 
+UNIT_ERROR = 0.2  # relative difference of an actuator's gain and stiffness up to which it is commanded by position
 KINDS = click.Choice(DESCRIBED)
 ANGLES = click.Choice(("absolute", "relative"))
 RATE = click.FloatRange(min=0, min_open=True)
@@ -118,7 +119,9 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
     for joint in robot.joints.values():
         unit, torque = ("rad", "N m") if joint.turns else ("m", "N")
         actuator = joint.actuator
-        wanted = unit if actuator is not None and actuator.kp > 0 else torque
+        wanted = torque
+        if actuator is not None and actuator.kp > 0:  # some loops take commands in units of their own, such as 0 to 255
+            wanted = unit if math.isclose(actuator.scale, actuator.kp, rel_tol=UNIT_ERROR) else PURE
         name = actuator.name if actuator is not None else ""
         found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, wanted))
     return tuple(found)

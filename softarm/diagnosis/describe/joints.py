@@ -62,15 +62,14 @@ def propose(
         if joint.actuator and command is not None:
             span = joint.span if position_loop else float("inf")
             found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
-        if joint.moved:
-            continue
-        if channel == "base":
+        if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
-        elif not joint.actuator:
+    for name, leader in leaders(found.get("measured", {})).items():
+        found.setdefault("base", {})[name] = found["measured"].pop(name)
+        draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
+    for joint in joints:
+        if joint.name in found.get("measured", {}) and not joint.actuator:
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
-    for joint_name, leader in leaders(found.get("measured", {})).items():
-        found.setdefault("base", {})[joint_name] = found["measured"].pop(joint_name)
-        draft.notes.append(f"{joint_name} follows {leader} by an equality of the model and is under base")
     if not found.get("measured"):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}

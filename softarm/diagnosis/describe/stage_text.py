@@ -23,6 +23,7 @@ _CHANNELS = {
     "measured": "what the sensors show",
     "base": "position of the cart that carries the first joint",
 }
+_MOVED = "joints that are moved from outside or follow another, and poses of floating bodies"
 _KINDS = {
     "tracking": "the output follows a command",
     "driven_mass": "a force moves a mass",
@@ -73,7 +74,8 @@ def _channels(survey: Survey, proposal: Proposal) -> Iterator[str]:
         used = [use.signal for use in columns.values()]
         others = [s for s in proposal.candidates.get(channel, ()) if s not in used]
         also = f" Other candidates: {_named(others)}." if others else ""
-        yield f"  # {_CHANNELS[channel].capitalize()}.{also}"
+        what = _MOVED if (proposal.kind, channel) == ("mujoco", "base") else _CHANNELS[channel]
+        yield f"  # {what.capitalize()}.{also}"
         yield f"  {channel}:"
         yield f"    time: {_clock(proposal.clocks[channel])}"
         yield "    columns:"

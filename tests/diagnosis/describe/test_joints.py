@@ -139,4 +139,22 @@ def test_joints_that_follow_and_poses_are_under_base(tmp_path, robot, base, meas
     channels = yaml.safe_load(text)["channels"]
     assert set(channels["base"]["columns"]) == base
     assert set(channels["measured"]["columns"]) == measured
+    assert "counts as free" not in text
+    assert "# Joints that are moved from outside or follow another" in text
     assert note in " ".join(text.replace("\n#", "").split())
+
+
+def test_a_command_in_units_of_its_own_is_not_taken_for_degrees(tmp_path):
+    """Grippers often take 0 to 255 for their whole range."""
+    servo = (
+        '<general name="grip" joint="finger" gainprm="0.3" biastype="affine" biasprm="0 -100 -10" ctrlrange="0 255"/>'
+    )
+    body = '<body><joint name="finger" range="0 0.8"/><geom size="0.1"/></body>'
+    model, out = tmp_path / "gripper.xml", tmp_path / "stage.yaml"
+    model.write_text(f"<mujoco><worldbody>{body}</worldbody><actuator>{servo}</actuator></mujoco>")
+    t = np.arange(0, 5, 0.01)
+    table = np.stack([t, 100 + 50 * np.sin(t), 0.3 + 0.15 * np.sin(t - 0.1)], axis=1)
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,grip,finger", comments="")
+    result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["grip"]["unit"] == "-"
