@@ -61,7 +61,8 @@ HALVINGS = 3
 TRIALS_LEAST = 4
 # Effects that a curved parameter is settled beside, and the rounds of their fits.
 LIKELY, SETTLING_ROUNDS = 4, 3
-# Share of the squared gap that remains next to such an effect at most, if it explains most of the gap.
+# Share of the squared gap that remains next to such an effect at most, if it explains most of the gap; and with another
+# law of the nominal model, if that law is used.
 MOST = 0.5
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
@@ -194,6 +195,13 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
             if min(beside) < MOST * min(losses):
                 best = values[int(np.argmin(beside))]
             view.assume(path, best)
+    for path, other in view.variants.items():
+        usual, losses = view.nominal(path), []
+        for value in (usual, other):
+            alone = least(path, value, [((), ())])
+            explained = least(path, value, _likely(setup().plain(), candidates(view)))
+            losses.append(explained if explained < MOST * alone else alone)
+        view.assume(path, other if losses[1] < MOST * losses[0] else usual)
     return setup()
 
 
@@ -288,7 +296,7 @@ class _Stage:
             vocabulary=view.effects,
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
-            assumed={path: view.nominal(path) for path in view.curved},
+            assumed=view.assumed,
         )
 
     def _calibrated(self, fit: Fit) -> Calibrated:

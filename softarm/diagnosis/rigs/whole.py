@@ -133,8 +133,8 @@ def _judged(
 def _on(stretches: Stretches, view: RigView) -> RigView:
     """Return a view of some stretches with the assumptions of another view."""
     found = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
-    for path in view.curved:
-        found.assume(path, view.nominal(path))
+    for path, value in view.assumed.items():
+        found.assume(path, value)
     return found
 
 

@@ -2,7 +2,7 @@
 
 The rigid-body terms come from MuJoCo (`rigs/mjcf/mechanism.py`). A step is MuJoCo's semi-implicit Euler step with
 implicit damping, so that a fitted value means the same in the model file. Dry friction holds a joint at rest, as real
-friction does; MuJoCo's regularised friction lets it creep (its documentation, Computation: Constraint model).
+friction does, or lets it creep, as MuJoCo's soft friction does (its documentation, Computation: Constraint model).
 
 Several windows and points of a fit are simulated at once, each in one lane of a SIMD register.
 """
@@ -37,7 +37,9 @@ VISCOUS, DRAG, SPRING, REST, OFFSET, BIAS = range(5, 11)
 DRY, STICTION, SPEED, LOADED, GIVE = range(11, 16)
 # Play between the joint and its sensor; inertia besides the model's.
 GAP, ARMATURE = range(16, 18)
-COLUMNS = 18
+# Soft friction: its softness per torque (MuJoCo's regulariser), and the rate at which it stops a joint, 1/s; 0 if hard.
+SOFT, YIELDS = range(18, 20)
+COLUMNS = 20
 # Damping of friction while it bends, as a share of the root of stiffness times inertia.
 GRIP = 0.1
 # Rows of a path: inertia, load at zero position and speed, its slopes by position and by speed.
@@ -108,7 +110,7 @@ def faded(x):
 
 
 @inlined
-def slide(v, bend, net, resists, inertia, dry, give, h):
+def slide(v, bend, net, resists, inertia, dry, give, yields, h):
     """Return speed and bend of the friction after a step of h seconds.
 
     Args:
@@ -119,12 +121,17 @@ def slide(v, bend, net, resists, inertia, dry, give, h):
         inertia: inertia alone.
         dry: level of the dry friction.
         give: travel over which it builds up (elastoplastic, a Prandtl element); 0 for rigid friction.
+        yields: softness per torque, and rate at which soft friction stops the joint, 1/s; 0 for hard friction.
         h: integration step, s.
     """
     per_torque = h / resists
     rigid = v + per_torque * net
     # Up to what stops it.
-    rigid = rigid - clip(rigid, 0.0 - per_torque * dry, per_torque * dry)
+    stops, (soft, rate) = rigid, yields
+    if some(rate > 0.0):
+        creeps = per_torque * (net + inertia * rate * v) / (1.0 + inertia * soft)
+        stops = select(rate > 0.0, creeps, rigid)
+    rigid = rigid - clip(stops, 0.0 - per_torque * dry, per_torque * dry)
     elastic = select(dry > 0.0, give, 0.0)
     if not some(elastic > 0.0):
         return rigid, bend
@@ -206,7 +213,7 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
     viscous, drag, dead = load(law, VISCOUS, lanes), load(law, DRAG, lanes), kp * load(law, WIDTH, lanes)
     spring, bias, half = load(law, SPRING, lanes), load(law, BIAS, lanes), 0.5 * load(law, GAP, lanes)
     offset = load(law, OFFSET, lanes) + spring * load(law, REST, lanes)
-    stiction = load(law, STICTION, lanes)
+    stiction, yields = load(law, STICTION, lanes), (load(law, SOFT, lanes), load(law, YIELDS, lanes))
     sticks = some(stiction > 0.0)
     per_speed = 1.0 / select(stiction > 0.0, load(law, SPEED, lanes), 1.0)
     inertia, weight = load(terms, INERTIA, lanes) + load(law, ARMATURE, lanes), load(terms, LOAD, lanes)
@@ -224,7 +231,7 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
             dry = dry + stiction * faded(ratio * ratio)
         resists = inertia + h * damping
         resists = select(resists > 0.1 * inertia, resists, 0.1 * inertia)
-        v, bend = slide(v, bend, net, resists, inertia, dry, load(law, GIVE, lanes), h)
+        v, bend = slide(v, bend, net, resists, inertia, dry, load(law, GIVE, lanes), yields, h)
         x = x + h * v
         seen = clip(seen, x - half, x + half)
         inertia = inertia + load(more, INERTIA, lanes)

@@ -47,6 +47,8 @@ class Joint:
     problem: str = ""  # why the model's actuators cannot be used
     followers: tuple[str, ...] = ()  # joints that the model's equalities make follow
     followers_dry: float = 0.0  # their dry friction, felt at the joint
+    softness: float = 0.0  # regulariser of MuJoCo's dry friction, 1 / inertia
+    yields_per_s: float = 0.0  # rate at which that friction stops a joint
 
     @property
     def end(self) -> str:
@@ -374,7 +376,15 @@ class Mechanism:
             problem=f"{self.path}: {problem}" if problem else "",
             followers=tuple(dict.fromkeys(self._name("joint", int(m.dof_jntid[each])) for each in followers)),
             followers_dry=float(np.abs(ratios[followers]) @ m.dof_frictionloss[followers]),
+            **self._soft_friction(dof),
         )
+
+    def _soft_friction(self, dof: int) -> dict[str, float]:
+        """Return how soft MuJoCo's dry friction is; see its documentation, Computation: Constraint parameters."""
+        least, most = (float(each) for each in self.model.dof_solimp[dof, :2])
+        time, damping = (float(each) for each in self.model.dof_solref[dof])
+        rate = 2 / (most * max(time, 2 * self.step_s)) if time > 0 else -damping / most
+        return {"softness": (1 - least) / least * float(self.model.dof_invweight0[dof]), "yields_per_s": rate}
 
     def _pose(self, number: int) -> PoseJoint:
         m, free = self.model, int(self._mujoco.mjtJoint.mjJNT_FREE)

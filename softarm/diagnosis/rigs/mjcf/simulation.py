@@ -17,6 +17,8 @@ from softarm.diagnosis.rigs.motion import Motion, directions
 
 # Step of the numerical derivative by a window's start, in its uncertainty.
 NUDGED = 0.05
+# Whether dry friction lets the joint creep, as MuJoCo's does, 0 or 1.
+CREEP = "coulomb_friction.creep"
 # Parameters that are columns of the law.
 _COLUMNS = {
     "coulomb_friction.torque": laws.DRY,
@@ -139,6 +141,8 @@ class JointSimulation:
         for path, column in _COLUMNS.items():
             law[column] = at.get(path, 0.0)
         law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
+        if at[CREEP]:
+            law[laws.SOFT], law[laws.YIELDS], law[laws.GIVE] = joint.softness, joint.yields_per_s, 0.0
         return law
 
     def _drive(self, at: Values) -> Array:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, mechanism
-from softarm.diagnosis.rigs.mjcf.simulation import JointSimulation
+from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
 from softarm.diagnosis.rigs.motion import (
@@ -73,6 +74,7 @@ class JointView(RigView):
     shared = frozenset(("mass", "length", "payload", "tilt"))
     whole = frozenset(("payload", "tilt"))
     far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
+    variants = MappingProxyType({CREEP: 1.0})
 
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
@@ -99,9 +101,11 @@ class JointView(RigView):
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
-        self._known = neutral_values(own) | self._nominal() | given
+        self._known = neutral_values(own) | self._nominal() | given | {CREEP: 0.0}
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
-        self.curved = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
+        self.curved = self._bends = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
+        (friction,) = (effect for effect in own if effect.name == f"{stage.name}.coulomb_friction")
+        self._frictions = friction, replace(friction, parameters=friction.parameters[:1])  # which bends, which creeps
         longest_s = min(scales.period_s, self._unstable_s() / WINDOW_PERIODS)
         window_s, self.block_s = window_lengths(longest_s, scales.step_s, self._motions)
         self._each = self._substeps()
@@ -117,6 +121,14 @@ class JointView(RigView):
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
+
+    def assume(self, path: str, value: float) -> None:
+        """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
+        super().assume(path, value)
+        if path == CREEP:
+            self.curved = {} if value else self._bends
+            friction = self._frictions[bool(value)]
+            self.effects = tuple(friction if effect.name == friction.name else effect for effect in self.effects)
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
@@ -334,6 +346,11 @@ class JointView(RigView):
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
         zeros, found = self._zeros_apart(self._raw_gaps([point])), [*self.assumptions]
+        if self._known[CREEP]:
+            found.append(
+                f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
+                "holds: the recordings may come from a simulation"
+            )
         if self._unsure > UNSURE_WARNED:
             done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
             found.append(

@@ -24,9 +24,20 @@ from softarm.diagnosis.rigs.stage import Finding, settled, view_of
 from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
+from tests.diagnosis.rigs.mjcf.test_joint_law import HARD
+from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO as SERVO_MODEL
 from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, mechanism, shipped
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
+CREEPING = """
+kind: mujoco
+channels:
+  measured: {time: {source: t, unit: s}, columns: {elbow: {source: elbow, unit: rad}}}
+  command: {time: {source: t, unit: s}, columns: {servo: {source: servo, unit: rad}}}
+model: {mjcf: servo.xml}
+trials:
+  - {files: "run-*.csv"}
+"""
 TILT_RAD = (0.0524, -0.0349)
 
 
@@ -47,6 +58,33 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
     left, more = (np.sqrt(np.nanmean(view_of(each)[0].gap([{}]) ** 2)) for each in (trials, without))
     assert left < 1.2e-3  # the step of the encoder is 1 mrad
     assert more > 3 * left
+
+
+@pytest.mark.parametrize("creeps", [True, False])
+def test_friction_that_creeps_as_in_mujoco_is_told_from_friction_that_holds(tmp_path, creeps):
+    """The joint has 0.6 N m more than its model, which MuJoCo regularises by default."""
+    text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8)
+    nominal = text.replace(HARD, "")
+    (tmp_path / "servo.xml").write_text(nominal)
+    simulated = mujoco.MjModel.from_xml_string(nominal if creeps else text)
+    simulated.dof_frictionloss[:] = 0.7
+    for number in range(2):
+        data, rows, turn = mujoco.MjData(simulated), [], np.random.default_rng(number).uniform(0, 6, 2)
+        for k in range(600):
+            t = 0.01 * k
+            data.ctrl[0] = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
+            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4)))
+            mujoco.mj_step(simulated, data, nstep=10)
+        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.5f", ",", header="t,servo,elbow", comments="")
+    (tmp_path / "stage.yaml").write_text(CREEPING)
+    trials = tables.read(tmp_path / "stage.yaml")
+    view, used = view_of(trials)
+    settled(view, [trial.kind for trial in used.trials], used.origins)
+    assert view.nominal("coulomb_friction.creep") == creeps
+    assert any("creep as MuJoCo" in text for text in view.warnings({})) == creeps
+    (named,) = diagnose_table(trials).verdict.effects
+    assert named.name == "elbow.coulomb_friction"
+    assert named.parameters["torque"].value == pytest.approx(0.7, abs=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -50,10 +50,17 @@ def simulated(parameters, drives, path=None, starts=((0.0, 0.0),)):
     return -laws.residuals(windows, laws.Inputs.of(drives, [path] * len(drives)), parameters, 1)
 
 
-@pytest.mark.parametrize(("dry", "kp", "limit"), [(0.0, 20, 10), (0.1, 20, 10), (0.1, 60, 0.8)])
-def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
-    file = tmp_path / "servo.xml"
-    file.write_text(SERVO.format(damping=0.05, dry=dry, kp=kp, limit=limit))
+HARD = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'
+
+
+@pytest.mark.parametrize(
+    ("dry", "kp", "limit", "creeps"),
+    [(0.0, 20, 10, False), (0.1, 20, 10, False), (0.1, 60, 0.8, False), (0.5, 20, 10, True), (1.0, 60, 4, True)],
+)
+def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit, creeps):
+    file, text = tmp_path / "servo.xml", SERVO.format(damping=0.05, dry=dry, kp=kp, limit=limit)
+    file.write_text(text.replace(HARD, "") if creeps else text)
+    assert HARD in text
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     command = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(3000)))
@@ -67,7 +74,12 @@ def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit):
     path = robot.terms(joint, robot.course(joint, {"elbow": (q, v, np.zeros(3000))}))
     servo = joint.actuator
     own = law(KP=servo.kp, KD=servo.kd, LOW=servo.low, HIGH=servo.high, VISCOUS=joint.viscous, DRY=joint.dry)
-    assert travelled(own, joint.actuator.scale * command, path) == pytest.approx(q, abs=5e-4)
+    soft = own.copy()
+    soft[laws.SOFT], soft[laws.YIELDS] = joint.softness, joint.yields_per_s
+    rigid, creeping = (travelled(each, servo.scale * command, path) for each in (own, soft))
+    if creeps:
+        assert np.abs(rigid - q).max() > 0.008
+    assert (creeping if creeps else rigid) == pytest.approx(q, abs=5e-4)
 
 
 def test_viscous_friction_lets_the_speed_decay():
