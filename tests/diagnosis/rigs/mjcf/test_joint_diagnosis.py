@@ -61,7 +61,7 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
 
 
 @pytest.mark.parametrize("creeps", [True, False])
-def test_friction_that_creeps_as_in_mujoco_is_told_from_friction_that_holds(tmp_path, creeps):
+def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_holds(tmp_path, creeps):
     """The joint has 0.6 N m more than its model, which MuJoCo regularises by default."""
     text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8)
     nominal = text.replace(HARD, "")
