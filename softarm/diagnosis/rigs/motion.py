@@ -113,6 +113,17 @@ def differences(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array
     return position, speed, acceleration
 
 
+def smoothed(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array]:
+    """Return smoothed position, speed and acceleration of a column at the stamps of a grid, [T] each.
+
+    For poses by motion capture, whose noise is large beside that of encoders: its double difference at a high rate
+    would be larger than the motion of the body.
+    """
+    m = motion(grid(series, 1 / g.step_s, (name,)), name, 0.0, 0.0)
+    position, speed, acceleration = (np.interp(g.t_s, m.grid.t_s, x) for x in (m.position, m.speed, m.acceleration))
+    return position, speed, acceleration
+
+
 def period(found: Sequence[Motion], limit: float | None = None, *, speed_alone: bool = False) -> float:
     """Return the period of the usual motion, s.
 
@@ -151,6 +162,16 @@ def window_edges(g: Grid, window_s: float) -> NDArray[np.int64]:
     if len(edges) > 2 and (edges[-1] - edges[-2]) * g.step_s < 0.5 * window_s:
         del edges[-2]
     return np.array(edges)
+
+
+def cut_edges(edges: NDArray[np.int64], out: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the edges of windows that also end and begin where samples are left out, since unknown forces act there.
+
+    Args:
+        edges: result of `window_edges`.
+        out: whether a sample is left out, [T].
+    """
+    return np.union1d(edges, np.flatnonzero(np.diff(out.astype(int))) + 1)
 
 
 def directions(m: Motion, edges: NDArray[np.int64], least: float) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,15 +24,18 @@ from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
 from softarm.diagnosis.rigs.motion import (
+    SAMPLES_LEAST,
     SLOW,
     STILL,
     WINDOW_PERIODS,
     Motion,
+    cut_edges,
     differences,
     motion,
     motions,
     period,
     regimes,
+    smoothed,
     summed_twice,
     time_uncertainty,
     window_edges,
@@ -53,6 +57,8 @@ STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 UNSURE_MOST = 0.5
 # Share from which a warning says so.
 UNSURE_WARNED = 0.1
+# Samples without a contact or a limit that a joint needs.
+FREE_LEAST = 100
 # Margin to a joint's limit or a contact within which samples are left out, s.
 MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
@@ -92,6 +98,7 @@ class JointView(RigView):
         self._courses = [self._mechanism.course(joint, around) for around in self._around]
         self._terms = [slopes(self._mechanism, joint, course) for course in self._courses]
         self._torques = Torques(self._terms, self._motions)
+        self._held = [self._mechanism.held(joint, course) for course in self._courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
         self._refuse_mistakes(trials)
@@ -109,9 +116,11 @@ class JointView(RigView):
         longest_s = min(scales.period_s, self._unstable_s() / WINDOW_PERIODS)
         window_s, self.block_s = window_lengths(longest_s, scales.step_s, self._motions)
         self._each = self._substeps()
-        self._edges = [window_edges(m.grid, window_s) for m in self._motions]
+        out = [self._out(k) for k in range(len(trials))]
+        self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
         signals = [self._signals(k) for k in range(len(trials))]
-        seen = [self._compared(k) for k in range(len(trials))]
+        seen = [self._compared(k, out[k]) for k in range(len(trials))]
+        self._refuse_touching(seen, trials)
         stamps = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
@@ -160,11 +169,11 @@ class JointView(RigView):
         large = np.abs(moved[0]) > self.floor[0]
         trials = zip(slices(self.trial), self._motions, strict=True)
         unsure = np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
-        if unsure.mean() > UNSURE_MOST:
-            return float(unsure.mean())
-        self.measured[unsure] = np.nan
-        simulation.leave_out(unsure)
-        return float(unsure.mean())
+        share = float(unsure[np.isfinite(self.measured[:, 0])].mean())
+        if share <= UNSURE_MOST:
+            self.measured[unsure] = np.nan
+            simulation.leave_out(unsure)
+        return share
 
     @property
     def _zero(self) -> float:
@@ -224,6 +233,14 @@ class JointView(RigView):
                 "of its own; move its column from `measured` to `base`"
             )
 
+    def _refuse_touching(self, seen: Sequence[Array], trials: Sequence[Trial]) -> None:
+        """Raise TrialError for a joint that is hardly ever free; seen: its measured values, NaN where it is not."""
+        if (free := sum(int(np.isfinite(each).sum()) for each in seen)) < FREE_LEAST:
+            raise TrialError(
+                f"{trials[0].source}: {self._joint.name} is free of contacts and limits in {free} samples; needed are "
+                f"{FREE_LEAST}: record it in free motion, or move its column from `measured` to `base`"
+            )
+
     def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
         """Return position, speed and acceleration of every measured column on the grid of the own joint's motion."""
         found, poses = {}, {name for pose in self._mechanism.poses for name in (*pose.place, *pose.turn)}
@@ -231,20 +248,22 @@ class JointView(RigView):
             for pose in self._mechanism.poses:
                 series = pose.continuous(series, trial.source)
             for name in series.columns:
-                if name not in poses:
-                    self._mechanism.joint(name)
                 if name == self._joint.name:
                     found[name] = own.position, own.speed, own.acceleration
+                elif name in poses:
+                    found[name] = smoothed(series, name, own.grid)
                 else:
+                    self._mechanism.joint(name)
                     found[name] = differences(series, name, own.grid)
         return found
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's.
 
-        Stretches of a recording are too short to be judged; the whole was.
+        Stretches of a recording are too short to be judged; the whole was. A contact makes torques that do not count.
         """
-        if any(trial.recording for trial in trials):
+        free = ~np.concatenate(self._held)
+        if free.sum() < FREE_LEAST or any(trial.recording for trial in trials):
             return
         actuator = self._actuator  # a measured torque has taken the place of the model's
         joint = replace(self._joint, actuator=actuator)
@@ -252,11 +271,11 @@ class JointView(RigView):
             torque(terms.base, m) + (joint.viscous * m.speed + joint.friction * np.sign(m.speed))
             for m, terms in zip(self._motions, self._terms, strict=True)
         ]
-        seen, sent = np.concatenate([m.position for m in self._motions]), None
+        seen, sent = np.concatenate([m.position for m in self._motions])[free], None
         if actuator is not None:
             factor = 1.0 if actuator.kp > 0 else actuator.scale
-            sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])
-        if found := [*checks.mistakes(joint, str(trials[0].source), seen, sent, np.concatenate(needed))]:
+            sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])[free]
+        if found := [*checks.mistakes(joint, str(trials[0].source), seen, sent, np.concatenate(needed)[free])]:
             raise TrialError("\n".join(found))
 
     def _sent(self, k: int) -> Array:
@@ -415,11 +434,18 @@ class JointView(RigView):
         """Return every parameter of each point, by 'effect.parameter'."""
         return [{path: self.value(point, path) for path in self._known} for point in points]
 
-    def _compared(self, k: int) -> Array:
-        """Return a trial's measured values, NaN near a joint limit or a contact, [T]."""
+    def _out(self, k: int) -> NDArray[np.bool_]:
+        """Return whether a trial's sample is near a joint limit or a contact, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
-        out = self._mechanism.held(self._joint, self._courses[k]) | (m.position <= low) | (m.position >= high)
-        return np.where(_widened(out, m.grid.step_s), np.nan, m.seen)
+        return _widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
+
+    def _compared(self, k: int, out: NDArray[np.bool_]) -> Array:
+        """Return a trial's measured values, [T]; NaN where samples are left out, and in short windows between these."""
+        seen = np.where(out, np.nan, self._motions[k].seen)
+        for first, end in pairwise(self._edges[k]):
+            if end - first < SAMPLES_LEAST and out[[max(first - 1, 0), min(end, len(out) - 1)]].any():
+                seen[first:end] = np.nan
+        return seen
 
     def _signals(self, k: int) -> dict[str, Array]:
         """Features for a flexible model of the residual."""

@@ -29,6 +29,7 @@ from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO as SERVO_MODEL
 from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, mechanism, shipped
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
+GROUND = '<geom type="plane" size="2 2 0.1" pos="0.1 0 0" euler="0 -90 0"/>'
 CREEPING = """
 kind: mujoco
 channels:
@@ -85,6 +86,27 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     (named,) = diagnose_table(trials).verdict.effects
     assert named.name == "elbow.coulomb_friction"
     assert named.parameters["torque"].value == pytest.approx(0.7, abs=0.02)
+
+
+def test_windows_end_where_a_leg_touches_the_ground(tmp_path):
+    """The ground pushes the foot for part of each swing; a simulation through it would lead far away."""
+    text = SERVO_MODEL.format(damping=0.05, dry=0.0, kp=60, limit=8).replace("<worldbody>", f"<worldbody>{GROUND}")
+    text = text.replace("</body>", '<geom name="foot" size="0.02" pos="0 0 -0.3" mass="0"/></body>')
+    (tmp_path / "servo.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    for number in range(2):
+        data, rows = mujoco.MjData(model), []
+        for k in range(1000):
+            t = 0.01 * k
+            data.ctrl[0] = 0.5 * np.sin(5 * t + number)
+            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4), data.ncon > 0))
+            mujoco.mj_step(model, data, nstep=10)
+        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.5f", ",", header="t,servo,elbow,touches", comments="")
+    (tmp_path / "stage.yaml").write_text(CREEPING)
+    (view, _), touching = view_of(tables.read(tmp_path / "stage.yaml")), np.mean([row[-1] for row in rows])
+    assert touching > 0.2
+    assert 0.2 < np.isfinite(view.measured).mean() < 1 - touching
+    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 1.5e-3  # 6 mrad with windows through the ground
 
 
 @pytest.fixture(scope="module")

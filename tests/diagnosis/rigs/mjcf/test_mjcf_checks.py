@@ -102,6 +102,14 @@ def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
     assert bool(found) == refused
 
 
+def test_a_joint_that_always_touches_something_is_reported(tmp_path, recorded):
+    text, eye = ROBOTS["camera"].model.read_text(), '<body name="camera" pos="0 0 0.1">'
+    world = text[text.index("<worldbody>") : text.index(eye) + len(eye)]
+    within = world.replace("<worldbody>", '<worldbody><geom type="box" size="9 9 9"/>') + '<geom size="0.01" mass="0"/>'
+    with pytest.raises(TrialError, match="tilt is free of contacts and limits in 0 samples; needed are 100: record it"):
+        view(tmp_path, recorded, "camera", "tilt", model=(world, within))
+
+
 def test_joints_that_are_not_measured_are_stated_and_followers_are_not(tmp_path, recorded):
     """The tilt rides on the pan axis, on the vehicle and on a ship, and turns a knob with it."""
     trunk = '<body name="vehicle">', '<body name="ship"><freejoint name="root"/><geom size="0.1"/><body name="vehicle">'
