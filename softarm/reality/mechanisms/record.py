@@ -122,7 +122,7 @@ def record(robot: Robot, truth: Truth, kind: str, duration_s: float, random: np.
     t = np.asarray(np.arange(count * each) * STEP_S, dtype=np.float64)
     wanted = {name: _motion(kind, t, half, random) for name, half in {**robot.follows, **robot.pushed}.items()}
     carried = {name: _motion("multisine", t, half, random) for name, half in robot.moved.items()}
-    flight = _Flight(t, random) if robot.floats else None
+    flight = _Flight(t, plant.nominal.qpos0[:3], random) if robot.floats else None
     rows, sent = plant.run(t, wanted, carried, flight, each)
     columns: dict[str, Array] = {"t": t[::each]}
     columns |= {f"cmd_{name}": values for name, values in sent.items()}
@@ -279,8 +279,8 @@ class _Plant:
 class _Flight:
     """Pose of a body that flies as it likes, whatever hangs from it: the first six degrees of freedom of a model."""
 
-    def __init__(self, t: Array, random: np.random.Generator) -> None:
-        self.place = np.stack([_motion("multisine", t, FLIES_M, random) for _ in range(3)], axis=1)
+    def __init__(self, t: Array, start: Array, random: np.random.Generator) -> None:
+        self.place = start + np.stack([_motion("multisine", t, FLIES_M, random) for _ in range(3)], axis=1)
         angles = np.stack([_motion("multisine", t, FLIES_RAD, random) for _ in range(3)], axis=1)
         self.turn = _from_angles(angles)
         turned = np.gradient(self.turn, STEP_S, axis=0)
@@ -290,14 +290,12 @@ class _Flight:
 
     def carry(self, k: int, data: Any) -> None:
         """Move the body of a simulation to a step, where its path goes on."""
-        if k == 0:
-            self.start = data.qpos[:3].copy()
-        data.qpos[:3], data.qpos[3:7] = self.start + self.place[k], self.turn[k]
+        data.qpos[:3], data.qpos[3:7] = self.place[k], self.turn[k]
         data.qvel[:6], data.qfrc_applied[:6] = self.speed[k], self.force[k]
 
     def seen(self, name: str, each: int, random: np.random.Generator) -> dict[str, Array]:
         """Return position and quaternion by motion capture, [T / each] each."""
-        place = np.round((self.start + self.place)[::each] / POSE_STEP_M) * POSE_STEP_M
+        place = np.round(self.place[::each] / POSE_STEP_M) * POSE_STEP_M
         turn = self.turn[::each] + POSE_NOISE * random.normal(size=self.turn[::each].shape)
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
         found = {f"{name}_{axis}": values for axis, values in zip("xyz", place.T, strict=True)}
