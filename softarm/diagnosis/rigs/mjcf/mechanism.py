@@ -135,7 +135,7 @@ class Mechanism:
                 "rename the joint in the model and the column"
             )
         if name not in self.joints:
-            near = did_you_mean(name, self.joints)
+            near = did_you_mean(name, [*self.joints, *(column for pose in self.poses for column in pose.columns)])
             raise TrialError(
                 f"{self.path}: no hinge or slide joint {name}; {near}the model has {', '.join(self.joints)}; "
                 "name the column after its joint"
@@ -226,8 +226,7 @@ class Mechanism:
         for pose in self.poses:
             lacking, depends = pose.lacking(measured), pose.dof in self._closure.dependent
             if lacking and not depends and own & {*self._behind(pose.dof)}:
-                whole = len(lacking) == len((*pose.place, *pose.turn))
-                found += [pose.name] if whole else lacking
+                found += [pose.name] if lacking == pose.columns else lacking
         for name, other in self.joints.items():
             if name not in measured and other.dof not in self._closure.dependent and own & {*self._moved(other.dof)}:
                 found.append(name)
@@ -381,7 +380,8 @@ class Mechanism:
 
     def _soft_friction(self, dof: int) -> dict[str, float]:
         """Return how soft MuJoCo's dry friction is; see its documentation, Computation: Constraint parameters."""
-        least, most = (float(each) for each in self.model.dof_solimp[dof, :2])
+        ends = self._mujoco.mjMINIMP, self._mujoco.mjMAXIMP
+        least, most = (float(each) for each in np.clip(self.model.dof_solimp[dof, :2], *ends))
         time, damping = (float(each) for each in self.model.dof_solref[dof])
         rate = 2 / (most * max(time, 2 * self.step_s)) if time > 0 else -damping / most
         return {"softness": (1 - least) / least * float(self.model.dof_invweight0[dof]), "yields_per_s": rate}

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.engine.view import Array
 
-PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 # Error of a quaternion's length up to which the four columns are one.
 LENGTH_ERROR = 0.05
 # Position, speed and acceleration of each column, [T] each.
@@ -28,16 +28,21 @@ class PoseJoint:
     @property
     def place(self) -> tuple[str, ...]:
         """Return the columns of the position, m, in the model's frame."""
-        return tuple(f"{self.name}_{axis}" for axis in PLACE) if self.floats else ()
+        return tuple(f"{self.name}_{axis}" for axis in "xyz") if self.floats else ()
 
     @property
     def turn(self) -> tuple[str, ...]:
         """Return the columns of the orientation's quaternion."""
-        return tuple(f"{self.name}_{part}" for part in TURN)
+        return tuple(f"{self.name}{part}" for part in QUATERNION)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return all columns of the pose."""
+        return self.place + self.turn
 
     def lacking(self, columns: Mapping[str, object]) -> tuple[str, ...]:
         """Return the columns that are missing."""
-        return tuple(name for name in (*self.place, *self.turn) if name not in columns)
+        return tuple(name for name in self.columns if name not in columns)
 
     def continuous(self, series: Series, where: Path) -> Series:
         """Return columns whose quaternion does not change its sign between two rows.

@@ -120,7 +120,8 @@ class JointView(RigView):
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
         signals = [self._signals(k) for k in range(len(trials))]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
-        self._refuse_touching(seen, trials)
+        if any(each.any() for each in out):
+            self._refuse_touching(seen, trials)
         stamps = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
@@ -243,7 +244,7 @@ class JointView(RigView):
 
     def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
         """Return position, speed and acceleration of every measured column on the grid of the own joint's motion."""
-        found, poses = {}, {name for pose in self._mechanism.poses for name in (*pose.place, *pose.turn)}
+        found, poses = {}, {name for pose in self._mechanism.poses for name in pose.columns}
         for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
             for pose in self._mechanism.poses:
                 series = pose.continuous(series, trial.source)

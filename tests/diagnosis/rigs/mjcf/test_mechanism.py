@@ -148,6 +148,15 @@ def test_a_contact_counts_for_the_joints_that_it_loads(tmp_path):
     assert held("right") == [False, False, True]
 
 
+def test_friction_without_impedance_is_as_soft_as_mujoco_lets_it_be(tmp_path):
+    """MuJoCo keeps impedances between mjMINIMP and mjMAXIMP."""
+    text = '<joint name="{0}" solimpfriction="{1} {2}" frictionloss="1"/><geom size="0.1"/>'
+    bodies = "".join(f"<body>{text.format(*each)}</body>" for each in (("soft", 0, 0), ("same", 1e-4, 1e-4)))
+    (tmp_path / "soft.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    soft, same = (Mechanism(tmp_path / "soft.xml").joint(name) for name in ("soft", "same"))
+    assert (soft.softness, soft.yields_per_s) == pytest.approx((same.softness, same.yields_per_s))
+
+
 def test_an_actuator_is_read_in_the_units_of_its_joint():
     joint = Mechanism(ROBOTS["leg"].model).joint("hip")
     assert (joint.actuator.name, joint.actuator.scale, joint.actuator.kp) == ("hip_motor", 6.0, 0.0)

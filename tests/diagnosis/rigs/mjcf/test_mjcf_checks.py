@@ -110,6 +110,11 @@ def test_a_joint_that_always_touches_something_is_reported(tmp_path, recorded):
         view(tmp_path, recorded, "camera", "tilt", model=(world, within))
 
 
+def test_a_short_recording_in_free_motion_is_not_taken_for_contact(tmp_path, recorded):
+    short = "files: multisine-*.csv, kind: multisine", "files: multisine-*.csv, kind: multisine, from_s: 2, to_s: 2.9"
+    assert len(view(tmp_path, recorded, "camera", "tilt", short).measured) < 100
+
+
 def test_joints_that_are_not_measured_are_stated_and_followers_are_not(tmp_path, recorded):
     """The tilt rides on the pan axis, on the vehicle and on a ship, and turns a knob with it."""
     trunk = '<body name="vehicle">', '<body name="ship"><freejoint name="root"/><geom size="0.1"/><body name="vehicle">'

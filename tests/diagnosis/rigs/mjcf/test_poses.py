@@ -78,6 +78,11 @@ def test_a_thruster_concerns_no_joint_of_the_arm(drone):
     assert not drone.joint("shoulder").problem
 
 
+def test_a_misspelt_column_of_a_pose_names_the_right_one(drone):
+    with pytest.raises(TrialError, match="no hinge or slide joint hull_qv; did you mean hull_q"):
+        drone.joint("hull_qv")
+
+
 def test_a_quaternion_that_changes_its_sign_is_continued(drone):
     turn = np.array([[0.9, 0.1, 0.2, 0.3], [0.89, 0.12, 0.2, 0.3], [-0.88, -0.14, -0.2, -0.3]])
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
