@@ -3,13 +3,13 @@
 import json
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 import yaml
 
@@ -36,14 +36,21 @@ def poses() -> dict[str, Pose]:
 
 
 @pytest.fixture
-def server(poses: dict[str, Pose]) -> Iterator[Motive]:
-    """Run a server that streams these poses."""
-    with Motive() as served, Streaming(served, poses, Room()):
+def server() -> Iterator[Motive]:
+    """Run a server."""
+    with Motive() as served:
         yield served
 
 
 @pytest.fixture
-def file(server: Motive, tmp_path: Path) -> Path:
+def stream(server: Motive, poses: dict[str, Pose]) -> Iterator[Streaming]:
+    """Stream these poses from the server."""
+    with Streaming(server, poses, Room()) as streaming:
+        yield streaming
+
+
+@pytest.fixture
+def file(server: Motive, stream: Streaming, tmp_path: Path) -> Path:
     """Return a bridge.yaml for this server and a daemon that does not run."""
     path = tmp_path / "bridge.yaml"
     settings = {
@@ -103,33 +110,18 @@ def arm(cart_m: float) -> dict[str, Pose]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_calibration_writes_a_file_with_which_the_arm_is_tracked(
-    file: Path, poses: dict[str, Pose], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    file: Path, stream: Streaming, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ended, prompted = threading.Event(), threading.Event()
-
     def show(text: str) -> None:
         click.echo(text, err=True)
         if "now push" in text:
-            prompted.set()
+            path = [*np.linspace(-0.2, -0.3, 41), *[-0.3] * 20, *np.linspace(-0.3, 0.3, 121)]
+            stream.motion = map(arm, path)
 
     monkeypatch.setattr("softarm.cli.bridge.warn", show)
-
-    def push() -> None:
-        """Push the cart to one end, then to the other, after the prompt."""
-        prompted.wait(60)
-        ways = [-0.2 - 0.005 * k for k in range(20)] + [-0.3] * 10 + [-0.3 + 0.01 * k for k in range(61)]
-        for y in ways:
-            poses.update(arm(y))
-            if ended.wait(0.01):
-                return
-
-    poses.update(arm(-0.2))
-    pushing = threading.Thread(target=push, daemon=True)
-    pushing.start()
+    stream.motion = iter([arm(-0.2)])
     out = tmp_path / "found.yaml"
     answer = ask("calibrate", "--config", file, "--end", "+y", "--out", out)
-    ended.set()
-    pushing.join()
     assert answer.exit_code == 0, answer.output
     assert "it hangs still; now push the cart slowly along the rail to one stop, then to the other" in answer.stderr
     assert f"next: `softarm bridge natnet --config {out} --once`" in answer.stdout

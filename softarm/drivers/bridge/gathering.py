@@ -14,6 +14,8 @@ from softarm.schemas.bridge import Bridge
 
 # Time of the arm at rest, and of the cart at its last end.
 REST_NS, STAND_NS = 3_000_000_000, 2_000_000_000
+# A longer pause of the frames, as a share of these times, says nothing about rest: the time begins again.
+PAUSE_SHARE = 0.25
 # A shorter movement is not a push from stop to stop.
 WHOLE_M = 0.5
 AT_END_M = 0.02
@@ -47,8 +49,10 @@ class Gathering:
         if self.phase is Phase.DONE or (self._recent and t_ns - self._recent[-1].t_ns < STEP_NS):
             return
         sample = Sample(t_ns, dict(bodies))
-        self._recent.append(sample)
         window = REST_NS if self.phase is Phase.RESTING else STAND_NS
+        if self._recent and t_ns - self._recent[-1].t_ns > PAUSE_SHARE * window:
+            self._recent.clear()
+        self._recent.append(sample)
         whole = t_ns - self._recent[0].t_ns >= window
         while t_ns - self._recent[0].t_ns > window:
             self._recent.popleft()

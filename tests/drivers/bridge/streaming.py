@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from typing import Self
 
 from softarm.drivers.bridge.frame import Plane
@@ -12,11 +13,15 @@ from softarm.schemas.messages import Pose
 
 
 class Streaming:
-    """Server that streams `poses` in a room 200 times a second and records the time of each frame."""
+    """Server that streams `poses` in a room 200 times a second and records the time of each frame.
+
+    Each frame takes the next poses of `motion`, so that a late frame delays the motion too.
+    """
 
     def __init__(self, server: Motive, poses: dict[str, Pose], room: Room, exposed: bool = True) -> None:
         self.taken: dict[int, int] = {}
         self.poses = poses
+        self.motion: Iterator[Mapping[str, Pose]] = iter(())
         self._server, self._plane, self._exposed = server, Plane(room), exposed
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -33,6 +38,7 @@ class Streaming:
         number = 0
         while not self._ended.wait(0.005):
             number += 1
+            self.poses.update(next(self.motion, {}))
             taken_ns = time.monotonic_ns() - 8_000_000
             taken = self._server.ticks(taken_ns)
             stamps = (taken if self._exposed else 0, taken + motive.CLOCK_HZ // 200, self._server.ticks())

@@ -292,6 +292,15 @@ def test_the_recording_waits_for_rest_and_ends_at_the_last_end():
     assert lab.farthest(found)[0] < 0.001
 
 
+def test_a_pause_of_the_frames_is_no_rest_of_the_cart():
+    lab = Lab()
+    way = lab.push(0.3, begin=-0.3)
+    gathering = gathered([*lab.rest(seconds=3.5), *lab.push(-0.3), *way[:66]])
+    gathering.clock += 3_000_000_000
+    gathered(way[66:67], gathering=gathering)
+    assert gathering.phase is Phase.PUSHING
+
+
 def test_from_the_middle_a_push_to_one_end_suffices():
     lab = Lab()
     gathering = gathered([*lab.rest(0.0, 3.5), *lab.push(0.25, begin=0.0)], middle_here=True)
