@@ -19,6 +19,7 @@ from typing import Any, Self
 import httpx
 import yaml
 
+from softarm.common import http
 from softarm.schemas.goals import Goal
 from softarm.schemas.policy import Observation
 
@@ -67,7 +68,7 @@ class SoftwareInTheLoop:
         self.config_file.write_text(yaml.safe_dump(self.settings))
         apart = {} if twin_drivers is None else {"drivers": twin_drivers}
         self._twin_file.write_text(yaml.safe_dump(self.settings | apart))
-        self.client = httpx.Client(base_url=self.url, timeout=5.0)
+        self.client = http.client(self.url)
         self.twin: subprocess.Popen[bytes] | None = None
         self.daemon: subprocess.Popen[bytes] | None = None
 

@@ -11,6 +11,7 @@ import httpx
 
 from softarm.cli.shared.console import given, token_of, token_option
 from softarm.cli.shared.errors import Unreachable, fail, leaves
+from softarm.common import http
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -41,8 +42,7 @@ class Remote:
         self.url, self._options = url.rstrip("/"), options
         headers = {API_HEADER: str(API_VERSION)} | ({"Authorization": f"Bearer {token}"} if token else {})
         try:
-            # No proxy from the environment: a robot is on this machine or on its own network.
-            self._client = httpx.Client(base_url=self.url, headers=headers, trust_env=False)
+            self._client = http.client(self.url, headers)
         except (httpx.InvalidURL, ValueError) as error:
             raise click.BadParameter(f"{url!r} is no URL ({error}); e.g. {DEFAULT_URL}") from None
 

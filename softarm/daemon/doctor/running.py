@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 
+from softarm.common import http
 from softarm.common.finding import Finding, State, by, graded, ok, problem, warning
 from softarm.schemas.config import Config
 from softarm.schemas.policy import Observation
@@ -46,7 +47,7 @@ def look(url: str, token: str | None, samples: int = SAMPLES) -> Running | None:
         raise ValueError(f"{url!r} lacks http:// or https://")
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     statuses: list[dict[str, Any]] = []
-    with httpx.Client(base_url=url, headers=headers, timeout=ASK_S, trust_env=False) as client:
+    with http.client(url, headers, ASK_S) as client:
         for number in range(samples):
             if number:
                 time.sleep(APART_S)

@@ -14,6 +14,7 @@ from typing import NamedTuple, Self
 import httpx
 import numpy as np
 
+from softarm.common import http
 from softarm.daemon.control.failsafe import TABLE
 from softarm.daemon.control.workspace import refusals as not_flown
 from softarm.daemon.limits.findings import RailFindings
@@ -135,7 +136,7 @@ class Bench(SoftwareInTheLoop):
         headers = {} if token is None else {"Authorization": f"Bearer {token.read_text(encoding='utf-8').strip()}"}
         self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.settings['api']['port']}"
         self.client.close()
-        self.client = httpx.Client(base_url=self.url, headers=headers, timeout=5.0, trust_env=False)
+        self.client = http.client(self.url, headers)
 
     def start_twin(self) -> None:
         """Start the twin, unless the real devices are used."""

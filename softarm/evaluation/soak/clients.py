@@ -14,6 +14,7 @@ import httpx
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from softarm.common import http
 from softarm.daemon.control.failsafe import TABLE
 from softarm.schemas.flights import TEST_TARGETS
 
@@ -215,7 +216,7 @@ class Hammer:
                     self.wrong[f"no answer within {ANSWER_S:g} s ({type(error).__name__})"] += 1
 
     def _ask(self, chance: random.Random) -> None:
-        with httpx.Client(base_url=self._url, timeout=ANSWER_S) as client:
+        with http.client(self._url, timeout_s=ANSWER_S) as client:
             for _ in range(20):
                 if self._stopping.wait(chance.uniform(*PAUSE_S)):
                     return
