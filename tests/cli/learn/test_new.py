@@ -71,7 +71,7 @@ def test_new_packages_pass_their_style_checks(written: dict[str, Path]) -> None:
     run(ROOT, "ruff", "format", "--no-cache", "--check", *folders)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_new_packages_pass_strict_type_checks(written: dict[str, Path]) -> None:
     """One run checks all three, which saves time."""
     files = [str(file) for folder in written.values() for file in (*folder.glob("*.py"), *folder.glob("tests/*.py"))]

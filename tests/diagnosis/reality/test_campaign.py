@@ -57,6 +57,7 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
     assert "rail.servo" in found.patched.effects  # that is what its drive is
 
 
+@pytest.mark.prove
 def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
     found = diagnosed(0.0)
     assert (found.verdict.verdict, found.verdict.effects, found.patched) == ("none", (), None)

@@ -214,6 +214,7 @@ def test_windows_last_some_periods_and_include_the_torque_around_them():
     assert len(ChainView.windows(drift)) == 1
 
 
+@pytest.mark.prove
 def test_windows_with_a_link_over_the_top_are_left_out_with_a_warning():
     t, made = np.arange(0, 6, 0.005), Made(TWO)
     calm, strong = tones(3, 2, (0.3, 0.1)), tones(4, 2, (3.0, 0.6))

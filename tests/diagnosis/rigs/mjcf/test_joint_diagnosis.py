@@ -61,7 +61,7 @@ def test_the_motion_of_the_other_joints_and_of_the_base_drives_a_joint(faulty):
     assert more > 3 * left
 
 
-@pytest.mark.parametrize("creeps", [True, False])
+@pytest.mark.parametrize("creeps", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_holds(tmp_path, creeps):
     """The joint has 0.6 N m more than its model, which MuJoCo regularises by default."""
     text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8)
@@ -202,6 +202,7 @@ def tilted(tmp_path_factory):
     return mechanism(tmp_path_factory.mktemp("tilted"), "camera", truth)
 
 
+@pytest.mark.prove
 def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tilted):
     """The pan axis is upright: no other effect makes it depend on gravity."""
     trials = [trial for trial in tables.read(tilted) if trial.stage.name == "pan"]

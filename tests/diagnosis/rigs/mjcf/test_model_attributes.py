@@ -91,6 +91,7 @@ def test_a_joint_moves_as_in_mujoco(tmp_path, name):
     assert gap(tmp_path, ROBOT) > 4 * left
 
 
+@pytest.mark.prove
 def test_a_servo_with_a_fiftieth_of_the_models_gain_is_found(tmp_path):
     """Each of its differences alone looks like another effect: a lag, a rate limit, a spring."""
     loop, passive = 'kp="30" kv="1.2" forcerange="-8 8"', 'damping="0.05" armature="0.01" frictionloss="0.05"'
