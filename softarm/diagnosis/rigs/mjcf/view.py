@@ -16,10 +16,10 @@ from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks
+from softarm.diagnosis.rigs.mjcf import checks, others
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
@@ -28,14 +28,11 @@ from softarm.diagnosis.rigs.motion import (
     SLOW,
     STILL,
     WINDOW_PERIODS,
-    Motion,
     cut_edges,
-    differences,
     motion,
     motions,
     period,
     regimes,
-    smoothed,
     summed_twice,
     time_uncertainty,
     window_edges,
@@ -94,8 +91,9 @@ class JointView(RigView):
         step = resolution([t.channel("measured")[column] for t in trials])
         limit = _acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
-        self._around = [self._moving(t, m) for t, m in zip(trials, self._motions, strict=True)]
-        self._courses = [self._mechanism.course(joint, around) for around in self._around]
+        moving = (others.measured(self._mechanism, joint, t, m) for t, m in zip(trials, self._motions, strict=True))
+        self._around: list[others.Around] = [*moving]
+        self._courses = self._courses_with(self._around)
         self._terms = [slopes(self._mechanism, joint, course) for course in self._courses]
         self._torques = Torques(self._terms, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._courses]
@@ -129,6 +127,7 @@ class JointView(RigView):
         self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
+        self.floor = np.hypot(self.floor, self._noise_of_others())
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
 
@@ -151,29 +150,48 @@ class JointView(RigView):
         fastest = float(np.quantile(np.concatenate(falls), 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
+    def _noise_of_others(self) -> float:
+        """Return the RMS of the gap that noise of the other joints' readings makes, rad or m.
+
+        A light joint, such as a wrist, follows the accelerations of the joints that carry it.
+        """
+        random = np.random.default_rng(0)
+        noisy = [others.noisy(each, m.grid.step_s, random) for each, m in zip(self._around, self._motions, strict=True)]
+        return rms(self._moved(noisy)) if any(noisy) else 0.0
+
+    def _courses_with(self, around: Sequence[others.Around]) -> list[Course]:
+        """Return the motion of the whole model in each trial with a motion of the other joints."""
+        found = []
+        for m, each in zip(self._motions, around, strict=True):
+            own = {self._joint.name: (m.position, m.speed, m.acceleration)}
+            found.append(self._mechanism.course(self._joint, {**own, **each}))
+        return found
+
+    def _moved(self, changed: Sequence[others.Around]) -> Array:
+        """Return how the nominal gap changes if other joints of each trial move otherwise, for free starts, [M]."""
+        courses = self._courses_with(changed)
+        terms = [self._mechanism.terms(self._joint, course) for course in courses]
+        own, simulation = self._values([{}]), self._simulation
+        moved = simulation.residuals(own, np.concatenate(terms, axis=1)) - simulation.residuals(own)
+        simulation.free_starts(moved)
+        return np.asarray(moved[0])
+
     def _without_unsure(self) -> float:
         """Take out samples that depend on motion of the other joints between samples, and return their share.
 
         Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed. If the
         majority does, all are kept.
         """
-        if all(around.keys() == {self._joint.name} for around in self._around):
+        smooth = [others.smooth(around) for around in self._around]
+        if not any(smooth):
             return 0.0
-        smooth = []
-        for around in self._around:
-            others = {n: (*m[:2], _smooth(m[2])) for n, m in around.items() if n != self._joint.name}
-            course = self._mechanism.course(self._joint, {**around, **others})
-            smooth.append(self._mechanism.terms(self._joint, course))
-        own, simulation = self._values([{}]), self._simulation
-        moved = simulation.residuals(own, np.concatenate(smooth, axis=1)) - simulation.residuals(own)
-        simulation.free_starts(moved)
-        large = np.abs(moved[0]) > self.floor[0]
+        large = np.abs(self._moved(smooth)) > self.floor[0]
         trials = zip(slices(self.trial), self._motions, strict=True)
         unsure = np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
         share = float(unsure[np.isfinite(self.measured[:, 0])].mean())
         if share <= UNSURE_MOST:
             self.measured[unsure] = np.nan
-            simulation.leave_out(unsure)
+            self._simulation.leave_out(unsure)
         return share
 
     @property
@@ -241,22 +259,6 @@ class JointView(RigView):
                 f"{trials[0].source}: {self._joint.name} is free of contacts and limits in {free} samples; needed are "
                 f"{FREE_LEAST}: record it in free motion, or move its column from `measured` to `base`"
             )
-
-    def _moving(self, trial: Trial, own: Motion) -> dict[str, tuple[Array, Array, Array]]:
-        """Return position, speed and acceleration of every measured column on the grid of the own joint's motion."""
-        found, poses = {}, {name for pose in self._mechanism.poses for name in pose.columns}
-        for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
-            for pose in self._mechanism.poses:
-                series = pose.continuous(series, trial.source)
-            for name in series.columns:
-                if name == self._joint.name:
-                    found[name] = own.position, own.speed, own.acceleration
-                elif name in poses:
-                    found[name] = smoothed(series, name, own.grid)
-                else:
-                    self._mechanism.joint(name)
-                    found[name] = differences(series, name, own.grid)
-        return found
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's.
@@ -477,11 +479,6 @@ def _columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
 def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
     """Return samples that are left out, with a margin before and after each, [T]."""
     return np.asarray(np.convolve(out, np.ones(2 * round(MARGIN_S / step_s) + 1), "same") > 0)
-
-
-def _smooth(acceleration: Array) -> Array:
-    """Return an acceleration averaged over three samples, [T]."""
-    return np.asarray(np.convolve(acceleration, np.full(3, 1 / 3), "same"))
 
 
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:

@@ -347,3 +347,42 @@ def test_a_payload_at_the_tip_explains_the_gap_at_its_own_distance(tmp_path):
     at_tip, at_centre = left(0.12, 0.25), min(left(kg, 0.125) for kg in (0.12, 0.24, 0.36, 0.48))
     assert at_tip < 0.25 * left(0.0, 0.25)
     assert at_tip < 0.5 * at_centre
+
+
+HANGING = """<mujoco>
+  <option timestep="0.001"/>
+  <worldbody><body>
+    <joint name="upper" axis="0 1 0" damping="0.5"/>
+    <inertial pos="0 0 -0.2" mass="2" diaginertia="0.03 0.03 0.01"/>
+    <body pos="0 0 -0.4">
+      <joint name="hand" axis="0 1 0" damping="0.002"/>
+      <inertial pos="0 0 -0.05" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
+    </body>
+  </body></worldbody>
+  <actuator><position name="servo" joint="upper" kp="80" kv="2"/></actuator>
+</mujoco>"""
+
+
+def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it(tmp_path):
+    """The hand's own encoder is fine, but its load depends on the coarse one of the upper arm."""
+    (tmp_path / "arm.xml").write_text(HANGING)
+    model, random = mujoco.MjModel.from_xml_string(HANGING), np.random.default_rng(3)
+    for number in range(2):
+        data, rows = mujoco.MjData(model), []
+        for k in range(1500):
+            t = 0.01 * k
+            data.ctrl[0] = 0.3 * np.sin(3 * t + number) + 0.2 * np.sin(4.7 * t)
+            rows.append((t, data.ctrl[0], data.qpos[0] + 5e-4 * random.normal(), np.round(data.qpos[1], 5)))
+            mujoco.mj_step(model, data, nstep=10)
+        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
+    columns = "upper: {source: upper, unit: rad}, hand: {source: hand, unit: rad}"
+    (tmp_path / "stage.yaml").write_text(
+        "kind: mujoco\nchannels:\n"
+        f"  measured: {{time: {{source: t, unit: s}}, columns: {{{columns}}}}}\n"
+        "  command: {time: {source: t, unit: s}, columns: {servo: {source: servo, unit: rad}}}\n"
+        "model: {mjcf: arm.xml}\ntrials: [{files: run-*.csv}]\n"
+    )
+    view, _ = view_of([trial for trial in tables.read(tmp_path / "stage.yaml") if trial.stage.name == "hand"])
+    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
+    assert left > 5e-5
+    assert 0.7 * left < view.floor[0] < 1.5 * left

@@ -1,0 +1,46 @@
+"""Measured motion of the other joints of a mechanism, which loads a joint."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
+from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
+from softarm.diagnosis.rigs.scales import white_noise
+
+# Column -> position, speed and acceleration, [T] each.
+Around = Mapping[str, tuple[Array, Array, Array]]
+
+
+def measured(mechanism: Mechanism, joint: Joint, trial: Trial, own: Motion) -> Around:
+    """Return the motion of the other measured columns of a trial, on the grid of the joint's own motion."""
+    found, poses = {}, {name for pose in mechanism.poses for name in pose.columns}
+    for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
+        for pose in mechanism.poses:
+            series = pose.continuous(series, trial.source)
+        for name in series.columns:
+            if name in poses:
+                found[name] = smoothed(series, name, own.grid)
+            elif name != joint.name:
+                mechanism.joint(name)
+                found[name] = differences(series, name, own.grid)
+    return found
+
+
+def smooth(around: Around) -> Around:
+    """Return the motion with accelerations that are averaged over three samples."""
+    third = np.full(3, 1 / 3)
+    return {name: (x, v, np.convolve(a, third, "same")) for name, (x, v, a) in around.items()}
+
+
+def noisy(around: Around, step_s: float, random: np.random.Generator) -> Around:
+    """Return the motion with once more the noise of its positions."""
+    found = {}
+    for name, (position, speed, acceleration) in around.items():
+        noise = white_noise([position]) * random.normal(size=len(position))
+        curve = np.zeros_like(noise)
+        curve[1:-1] = np.diff(noise, 2) / step_s**2
+        found[name] = position + noise, speed + np.gradient(noise, step_s), acceleration + curve
+    return found
