@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.data.trials import Series, Trial
+from softarm.diagnosis.data.trials import Series, Trial, TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.grid import Grid, grid
@@ -95,6 +95,15 @@ def motions(
             break
         rate = finer
     return found
+
+
+def largest_acceleration(trials: Sequence[Trial], column: str, step: float) -> float:
+    """Return the largest acceleration of a joint without a few outliers; raise TrialError if it does not move."""
+    found = [motion(grid(t.channel("measured"), columns=(column,)), column, step, 0.0) for t in trials]
+    largest = float(np.quantile(np.abs(np.concatenate([m.acceleration for m in found])), 0.99))
+    if not largest > 0:
+        raise TrialError(f"{trials[0].source}: {column} does not move in any trial; leave its column out")
+    return largest
 
 
 def differences(series: Series, name: str, g: Grid) -> tuple[Array, Array, Array]:

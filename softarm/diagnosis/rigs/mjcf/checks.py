@@ -15,6 +15,8 @@ BEYOND = 0.25
 # Correlations from which two signals certainly go together, and up to which they do not; ratio of two torques that no
 # effect explains.
 TOGETHER, APART, FAR = 0.6, 0.3, 3.0
+# Share of the commanded travel up to which a joint counts as stuck.
+STUCK = 0.02
 
 
 def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, needed: Array) -> Iterator[str]:
@@ -55,6 +57,24 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
             )
+
+
+def stuck(joint: Joint, seen: Array, command: Array) -> Iterator[str]:
+    """Yield a warning if a joint stays where it is while the command of its position loop moves.
+
+    Args:
+        joint: joint with a position loop.
+        seen: readings, rad or m, [T].
+        command: command of the actuator, [T].
+    """
+    assert joint.actuator is not None
+    asked, moved = float(np.ptp(command)) * abs(joint.actuator.scale) / joint.actuator.kp, float(np.ptp(seen))
+    if moved < STUCK * asked:
+        unit = "rad" if joint.turns else "m"
+        yield (
+            f"{joint.name} moves by {moved:.2g} {unit}, and its command by {asked:.2g} {unit}: it is blocked, switched "
+            "off or weaker than its friction; free it and record again, or leave its column out"
+        )
 
 
 def _other_kind(joint: Joint, follows: bool) -> str:

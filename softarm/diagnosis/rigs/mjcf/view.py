@@ -14,7 +14,7 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
-from softarm.diagnosis.rigs.grid import grid, held_integral, held_means, resolution, time_since_change, usual_step
+from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, others
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
@@ -29,7 +29,7 @@ from softarm.diagnosis.rigs.motion import (
     STILL,
     WINDOW_PERIODS,
     cut_edges,
-    motion,
+    largest_acceleration,
     motions,
     period,
     regimes,
@@ -89,7 +89,7 @@ class JointView(RigView):
         self._actuator, self._inputs = self._drive(trials)
         column = joint.name
         step = resolution([t.channel("measured")[column] for t in trials])
-        limit = _acceleration(trials, column, step)
+        limit = largest_acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
         moving = (others.measured(self._mechanism, joint, t, m) for t, m in zip(trials, self._motions, strict=True))
         self._around: list[others.Around] = [*moving]
@@ -100,7 +100,7 @@ class JointView(RigView):
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
         self._refuse_mistakes(trials)
-        self.assumptions = tuple(checks.assumptions(self._mechanism, joint, self._around[0]))
+        self.assumptions = (*checks.assumptions(self._mechanism, joint, self._around[0]), *self._stuck())
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
@@ -280,6 +280,12 @@ class JointView(RigView):
             sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])[free]
         if found := [*checks.mistakes(joint, str(trials[0].source), seen, sent, np.concatenate(needed)[free])]:
             raise TrialError("\n".join(found))
+
+    def _stuck(self) -> list[str]:
+        if self._actuator is None or not self._actuator.kp > 0:
+            return []
+        seen, sent = np.concatenate([m.position for m in self._motions]), map(self._sent, range(len(self._motions)))
+        return [*checks.stuck(replace(self._joint, actuator=self._actuator), seen, np.concatenate([*sent]))]
 
     def _sent(self, k: int) -> Array:
         """Return a trial's command at its samples, [T]."""
@@ -484,12 +490,3 @@ def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:
     """Return the trials without a column."""
     return [t for t in trials if channel not in t.channels or column not in t.channels[channel].columns]
-
-
-def _acceleration(trials: Sequence[Trial], column: str, step: float) -> float:
-    """Return the largest acceleration of a joint without a few outliers."""
-    found = [motion(grid(t.channel("measured"), columns=(column,)), column, step, 0.0) for t in trials]
-    largest = float(np.quantile(np.abs(np.concatenate([m.acceleration for m in found])), 0.99))
-    if not largest > 0:
-        raise TrialError(f"{trials[0].source}: {column} does not move in any trial; leave its column out")
-    return largest

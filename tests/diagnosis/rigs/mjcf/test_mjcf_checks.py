@@ -141,3 +141,15 @@ def test_stretches_of_a_recording_are_too_short_to_be_judged(tmp_path, recorded)
         )
     (trial,) = (t for t in tables.read(tmp_path / "stage.yaml") if t.stage.name == "tilt")
     assert JointView([replace(trial, recording="multisine")]).stage == "tilt"
+
+
+def test_a_joint_that_stays_while_its_command_moves_is_reported(tmp_path, recorded):
+    lines = [line.split(",") for line in recorded["camera"].splitlines()]
+    tilt = lines[0].index("q_tilt")
+    still = [*lines[:1], *([*row[:tilt], f"{float(row[tilt]) / 200:.4f}", *row[tilt + 1 :]] for row in lines[1:])]
+    stuck = {**recorded, "camera": "\n".join(map(",".join, still)) + "\n"}
+    (warning,) = (text for text in view(tmp_path, stuck, "camera", "tilt").warnings({}) if "its command by" in text)
+    assert warning.startswith("tilt moves by 0.00")
+    assert "blocked, switched off or weaker than its friction" in warning
+    moving = view(tmp_path, recorded, "camera", "tilt")
+    assert not any("its command by" in text for text in moving.warnings({}))
