@@ -12,9 +12,9 @@ from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
 DEGREES, ALIKE = 180 / math.pi, 0.2
 # Share of a joint's range by which readings may exceed it.
 BEYOND = 0.25
-# Correlations from which two signals certainly go together, and up to which they do not; ratio of two torques that no
-# effect explains.
-TOGETHER, APART, FAR = 0.6, 0.3, 3.0
+# Correlations of two signals that certainly go together, are the same, and do not go together. A servo that friction
+# slows shows 0.77 between its command and its torque. Then, the ratio of two torques that no effect explains.
+TOGETHER, SAME, APART, FAR = 0.6, 0.85, 0.3, 3.0
 # Share of the commanded travel up to which a joint counts as stuck.
 STUCK = 0.02
 
@@ -36,7 +36,7 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
     follows = joint.actuator is not None and joint.actuator.kp > 0
     answer, other = (seen, needed) if follows else (needed, seen)
     together = float(np.corrcoef(command, answer)[0, 1])
-    if together < APART and np.ptp(other) > 0 and float(np.corrcoef(command, other)[0, 1]) > TOGETHER:
+    if together < APART and np.ptp(other) > 0 and float(np.corrcoef(command, other)[0, 1]) > SAME:
         yield f"{where}: {_other_kind(joint, follows)}"
         return
     name = "moves against its command" if follows else "needs the opposite of the torque that it was given"

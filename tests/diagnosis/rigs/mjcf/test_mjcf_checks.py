@@ -153,3 +153,14 @@ def test_a_joint_that_stays_while_its_command_moves_is_reported(tmp_path, record
     assert "blocked, switched off or weaker than its friction" in warning
     moving = view(tmp_path, recorded, "camera", "tilt")
     assert not any("its command by" in text for text in moving.warnings({}))
+
+
+@pytest.mark.parametrize(("alike", "refused"), [(0.92, True), (0.77, False)])
+def test_a_position_that_lags_far_behind_is_no_torque(alike, refused):
+    """A servo that friction slows moves at a speed that follows its command, and so does the torque that it needs."""
+    random = np.random.default_rng(4)
+    command, other, seen = random.normal(size=(3, 5000))
+    tilt = Mechanism(ROBOTS["camera"].model).joint("tilt")
+    needed = alike * command + np.sqrt(1 - alike**2) * other
+    found = list(mistakes(tilt, "run.csv", seen, command, needed))
+    assert bool(found) == refused
