@@ -15,17 +15,24 @@ BEYOND = 0.25
 # Correlations of two signals that certainly go together, are the same, and do not go together. A servo that friction
 # slows shows 0.77 between its command and its torque. Then, the ratio of two torques that no effect explains.
 TOGETHER, SAME, APART, FAR = 0.6, 0.85, 0.3, 3.0
+# Ratio of squared errors without and with a factor of the torque, up to which friction explains it as well.
+RUBBING = 2.0
+# Share of a torque's square that is no friction, at least, to judge its size.
+OWN = 0.05
 # Share of the commanded travel up to which a joint counts as stuck.
 STUCK = 0.02
 
 
-def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, needed: Array) -> Iterator[str]:
+def mistakes(
+    joint: Joint, where: str, seen: Array, speed: Array, command: Array | None, needed: Array
+) -> Iterator[str]:
     """Yield what is certainly wrong in the description of a joint, each with its remedy.
 
     Args:
         joint: joint of the model, with the actuator that drives it.
         where: file and channel, for messages.
         seen: readings, rad or m, [T].
+        speed: their speed, [T].
         command: joint torque, or position of a position loop, that the actuator was sent, [T]; None without one.
         needed: torque that the measured motion needs by the model, [T].
     """
@@ -49,14 +56,26 @@ def mistakes(joint: Joint, where: str, seen: Array, command: Array | None, neede
                 yield f"{where}: {joint.name} has a {of} range {times:.3g} times as wide; write `unit: deg` there"
     elif not follows and together > TOGETHER:
         small = np.abs(command) <= np.median(np.abs(command))  # a torque limit leaves these alone
-        times, near = (
-            float(c @ a / max(c @ c, 1e-300)) for c, a in ((command, answer), (command[small], answer[small]))
-        )
+        times, near = (_times(*(x[part] for x in (command, answer, speed))) for part in (slice(None), small))
         if not 1 / FAR < times < FAR and not 1 / FAR < near < FAR:
             yield (
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
             )
+
+
+def _times(command: Array, needed: Array, speed: Array) -> float:
+    """Return the needed torque per given torque; 1 if friction that the model may lack explains the difference."""
+    friction = np.stack((np.sign(speed), speed), axis=1)
+    both = np.column_stack((needed, friction))
+    share = np.linalg.lstsq(both, command)[0]
+    own, left, left_alone = (
+        float(np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2))
+        for x, y in ((friction, needed), (both, command), (friction, command - needed))
+    )
+    if own < OWN * float(needed @ needed) or left_alone < RUBBING * left:
+        return 1.0
+    return float(1 / share[0])
 
 
 def stuck(joint: Joint, seen: Array, command: Array) -> Iterator[str]:

@@ -274,11 +274,15 @@ class JointView(RigView):
             torque(terms.base, m) + (joint.viscous * m.speed + joint.friction * np.sign(m.speed))
             for m, terms in zip(self._motions, self._terms, strict=True)
         ]
-        seen, sent = np.concatenate([m.position for m in self._motions])[free], None
+        seen, speed = (
+            np.concatenate(each)[free] for each in zip(*((m.position, m.speed) for m in self._motions), strict=True)
+        )
+        sent = None
         if actuator is not None:
             factor = 1.0 if actuator.kp > 0 else actuator.scale
             sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])[free]
-        if found := [*checks.mistakes(joint, str(trials[0].source), seen, sent, np.concatenate(needed)[free])]:
+        where, need = str(trials[0].source), np.concatenate(needed)[free]
+        if found := [*checks.mistakes(joint, where, seen, speed, sent, need)]:
             raise TrialError("\n".join(found))
 
     def _stuck(self) -> list[str]:

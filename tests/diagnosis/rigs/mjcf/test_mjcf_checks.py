@@ -98,7 +98,8 @@ def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
     command = np.random.default_rng(2).normal(size=2000)
     needed = factor * np.clip(command, -limit, limit)
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
-    found = list(mistakes(hip, "run.csv", np.cumsum(command) * 1e-3, 1.0 * command, needed))
+    seen = np.cumsum(command) * 1e-3
+    found = list(mistakes(hip, "run.csv", seen, np.roll(command, 700), 1.0 * command, needed))
     assert bool(found) == refused
 
 
@@ -162,5 +163,17 @@ def test_a_position_that_lags_far_behind_is_no_torque(alike, refused):
     command, other, seen = random.normal(size=(3, 5000))
     tilt = Mechanism(ROBOTS["camera"].model).joint("tilt")
     needed = alike * command + np.sqrt(1 - alike**2) * other
-    found = list(mistakes(tilt, "run.csv", seen, command, needed))
+    found = list(mistakes(tilt, "run.csv", seen, np.gradient(seen), command, needed))
     assert bool(found) == refused
+
+
+def test_friction_that_takes_most_of_the_torque_is_no_wrong_unit():
+    """The model lacks it, as models of geared arms often do: its torques are a sixth of the commands."""
+    random = np.random.default_rng(4)
+    speed = np.cumsum(random.normal(size=5000))
+    speed -= np.mean(speed)
+    needed = 0.3 * np.sign(speed) + 0.1 * random.normal(size=5000)
+    command = needed + 1.5 * np.sign(speed)
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    assert list(mistakes(hip, "run.csv", np.cumsum(speed), speed, command, needed)) == []
+    assert len(list(mistakes(hip, "run.csv", np.cumsum(speed), speed, 1000 * command, needed))) == 1
