@@ -196,16 +196,12 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
                 best = values[int(np.argmin(beside))]
             view.assume(path, best)
     for path, other in view.variants.items():
-        usual, found = view.nominal(path), list[tuple[float, str]]()
+        usual, losses = view.nominal(path), []
         for value in (usual, other):
             alone = least(path, value, [((), ())])
-            fits = setup().plain().fit(_likely(setup().plain(), candidates(view)), SETTLING_ROUNDS)
-            best = min(fits, key=lambda fit: fit.loss)
-            found.append((best.loss, best.names[0]) if best.loss < MOST * alone else (alone, ""))
-        (loss, name), (other_loss, other_name) = found
-        view.assume(path, other if other_loss < MOST * loss else usual)
-        if name and other_name and MOST * other_loss < loss:
-            view.alike[name] = (other_name,)
+            explained = least(path, value, _likely(setup().plain(), candidates(view)))
+            losses.append(explained if explained < MOST * alone else alone)
+        view.assume(path, other if losses[1] < MOST * losses[0] else usual)
     return setup()
 
 
@@ -382,8 +378,7 @@ class _Stage:
         """Return an effect and all effects that these data, or any data of such a stage, cannot separate from it."""
         names = (effect.candidate.name, *effect.equivalents)
         others = (other for name in names for other in self.view.indistinguishable.get(name, ()))
-        alike = (other for name in names for other in self.view.alike.get(name, ()) if other not in self.fit.names)
-        return tuple(dict.fromkeys((*names, *others, *alike)))
+        return tuple(dict.fromkeys((*names, *others)))
 
     def _warnings(self) -> list[str]:
         stage, found = self.view.stage, list(self.view.warnings(self.fit.point))

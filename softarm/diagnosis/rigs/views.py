@@ -74,7 +74,6 @@ class RigView:
             value that leaves the smallest gap becomes that of the nominal model.
         variants: other laws of the nominal model: 'effect.parameter' -> value of the other law. It is used if it leaves
             a much smaller gap.
-        alike: effect -> effects that explain the gap as well with another of these laws.
         driven_by: stages whose measured motion loads this stage.
         assumptions: warnings about the description, which hold before any fit.
         step_cost_s: processor time of a search per planned rollout and integration step, s; measured once.
@@ -113,7 +112,6 @@ class RigView:
         self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
         self.original: dict[str, float] = {}
         self.held: dict[str, Interval] = {}
-        self.alike: dict[str, tuple[str, ...]] = {}
         self.t_s: Array = np.concatenate(t_s)
         self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
         self.measured: Array = np.concatenate(measured)

@@ -34,6 +34,11 @@ class Actuator:
     gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
     own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
 
+    def torque(self, command: Array, position: Array, speed: Array) -> Array:
+        """Return the joint torque at each sample, [T each]."""
+        drive = self.scale * command + self.offset - self.kp * position - self.kd * speed
+        return np.asarray(np.clip(drive, self.low, self.high))
+
 
 class Actuators:
     """All actuators of a model, by the joint that they move."""

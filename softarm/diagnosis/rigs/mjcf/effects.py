@@ -14,6 +14,9 @@ LEAST_GAIN = -0.998
 LEAST_MASS = -0.5
 # Share of the usual torque: a friction that matters.
 USUAL = 0.15
+# Multiple of a usual friction from which the torque that the motion does not need sets the scale, and of that torque up
+# to which a friction is sought.
+LOST = 2.0
 # Usual travel over which dry friction bends before it slips: rad, and as a share of a slide's travel.
 GIVE_RAD, GIVE_SHARE = 1e-3, 1e-3
 # Largest speed at which friction at rest fades, as a share of the fastest motion; one that fades later is dry friction.
@@ -63,6 +66,7 @@ class JointScales:
     follows: bool  # the actuator is a position loop
     torque: float  # largest torque that the motion and the loads need
     usual: float  # mean size of that torque
+    lost: float  # mean torque of a motor that acts along the motion and that the motion does not need
     load: float  # largest torque of the weight and of the other joints' motion
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
@@ -176,11 +180,14 @@ def _loop(s: JointScales) -> Iterator[Effect]:
 
 def _friction(s: JointScales) -> Iterator[Effect]:
     usual, dry = USUAL * s.usual, s.joint.friction
+    most, exemplar = max(1.5 * s.torque, 3 * dry), dry + usual
+    if s.lost > LOST * exemplar:
+        most, exemplar = max(most, LOST * s.lost), s.lost
     yield like(
         "arm.coulomb_friction",
         "dry friction",
         "{stage} has {torque} of dry friction",
-        strength("torque", s.force, 0.0, 0.0, max(1.5 * s.torque, 3 * dry), dry + usual, "frictionloss"),
+        strength("torque", s.force, 0.0, 0.0, most, exemplar, "frictionloss"),
         shape("give", s.length, s.give, 0.0, 20 * s.give, 2 * s.give, "travel over which it bends before it slips"),
     )
     yield Effect(
@@ -210,11 +217,14 @@ def _of_speed(s: JointScales) -> Iterator[Effect]:
     """Yield friction that grows with the speed."""
     usual, per_speed, per_square = USUAL * s.usual, f"{s.force} s/{s.length}", f"{s.force} s^2/{s.length}^2"
     top, own = 3 * s.torque / s.speed, s.joint.viscous
+    most, exemplar = max(top, 3 * own), own + usual / s.speed
+    if s.lost > LOST * exemplar * s.speed:
+        most, exemplar = max(most, LOST * s.lost / s.speed), s.lost / s.speed
     yield like(
         "arm.damping",
         "viscous friction; a motor's back-EMF acts alike",
         "{stage} has viscous friction of {viscous}",
-        strength("viscous", per_speed, 0.0, 0.0, max(top, 3 * own), own + usual / s.speed, "per unit of speed"),
+        strength("viscous", per_speed, 0.0, 0.0, most, exemplar, "per unit of speed"),
     )
     yield like(
         "arm.drag",

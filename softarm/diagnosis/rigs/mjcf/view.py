@@ -22,7 +22,7 @@ from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, load, torque
+from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, torque
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
     SLOW,
@@ -91,6 +91,7 @@ class JointView(RigView):
         step = resolution([t.channel("measured")[column] for t in trials])
         limit = largest_acceleration(trials, column, step)
         self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
+        self._sent = self._sampled_commands()
         moving = (others.measured(self._mechanism, joint, t, m) for t, m in zip(trials, self._motions, strict=True))
         self._around: list[others.Around] = [*moving]
         self._courses = self._courses_with(self._around)
@@ -243,6 +244,11 @@ class JointView(RigView):
         low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
         return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
 
+    def _sampled_commands(self) -> list[Array]:
+        """Return each trial's command at its samples, [T]; without an actuator there are none."""
+        pairs = zip(self._inputs, self._motions if self._inputs else (), strict=True)
+        return [held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs]
+
     def _refuse_follower(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError for a joint whose motion that of another determines."""
         joint = self._joint
@@ -280,7 +286,7 @@ class JointView(RigView):
         sent = None
         if actuator is not None:
             factor = 1.0 if actuator.kp > 0 else actuator.scale
-            sent = factor * np.concatenate([self._sent(k) for k in range(len(trials))])[free]
+            sent = factor * np.concatenate(self._sent)[free]
         where, need = str(trials[0].source), np.concatenate(needed)[free]
         if found := [*checks.mistakes(joint, where, seen, speed, sent, need)]:
             raise TrialError("\n".join(found))
@@ -288,13 +294,8 @@ class JointView(RigView):
     def _stuck(self) -> list[str]:
         if self._actuator is None or not self._actuator.kp > 0:
             return []
-        seen, sent = np.concatenate([m.position for m in self._motions]), map(self._sent, range(len(self._motions)))
-        return [*checks.stuck(replace(self._joint, actuator=self._actuator), seen, np.concatenate([*sent]))]
-
-    def _sent(self, k: int) -> Array:
-        """Return a trial's command at its samples, [T]."""
-        g = self._motions[k].grid
-        return held_means(self._inputs[k], g.t_s[0] - 0.5 * g.step_s, g.step_s, len(g.t_s))
+        seen = np.concatenate([m.position for m in self._motions])
+        return [*checks.stuck(replace(self._joint, actuator=self._actuator), seen, np.concatenate(self._sent))]
 
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
@@ -312,6 +313,7 @@ class JointView(RigView):
             follows=actuator is not None and actuator.kp > 0,
             torque=float(np.quantile(np.abs(needed), 0.995)) + floor,
             usual=float(np.mean(np.abs(needed))) + floor,
+            lost=lost(actuator, self._sent, found, needed),
             load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
             mass=float(rms(heavier) > felt),
             payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
@@ -474,7 +476,7 @@ class JointView(RigView):
             "time in the window": t - t[np.repeat(edges[:-1], np.diff(edges))],
         }
         if self._inputs:
-            signals["command"] = self._sent(k)
+            signals["command"] = self._sent[k]
         for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
             signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s)
         return signals

@@ -386,3 +386,32 @@ def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it
     left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
     assert left > 5e-5
     assert 0.7 * left < view.floor[0] < 1.5 * left
+
+
+MOTOR = """<mujoco>
+  <option timestep="0.002"/>
+  <worldbody><body>
+    <joint name="elbow" axis="0 1 0" frictionloss="{dry}" damping="0.001"/>
+    <inertial pos="0 0 -0.05" mass="1" diaginertia="0.005 0.005 0.005"/>
+  </body></worldbody>
+  <actuator><motor name="servo" joint="elbow"/></actuator>
+</mujoco>"""
+
+
+def test_friction_that_takes_most_of_a_motors_torque_is_named(tmp_path):
+    """The model has 0.01 N m, so its motion needs a small part of the torque that was given."""
+    (tmp_path / "servo.xml").write_text(MOTOR.format(dry=0.01))
+    simulated = mujoco.MjModel.from_xml_string(MOTOR.format(dry=0.6))
+    for number in range(2):
+        data, rows, turn = mujoco.MjData(simulated), [], np.random.default_rng(number).uniform(0, 6, 2)
+        for k in range(1200):
+            t = 0.01 * k
+            wanted = 0.4 * np.sin(3 * t + turn[0]) + 0.3 * np.sin(1.3 * t + turn[1])
+            data.ctrl[0] = 1.6 * (wanted - data.qpos[0]) + 0.5 * np.sin(data.qpos[0])
+            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4)))
+            mujoco.mj_step(simulated, data, nstep=5)
+        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,elbow", comments="")
+    (tmp_path / "stage.yaml").write_text(CREEPING.replace("{source: servo, unit: rad}", "{source: servo, unit: N m}"))
+    (named,) = diagnose_table(tables.read(tmp_path / "stage.yaml")).verdict.effects
+    assert named.name == "elbow.coulomb_friction"
+    assert named.parameters["torque"].value == pytest.approx(0.6, abs=0.01)
