@@ -46,8 +46,8 @@ from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neu
 GROWN = 10.0
 # Samples are averaged down to this rate: accelerations of coupled joints change within 5 ms.
 RATE_HZ = 500.0
-# Share of a load below which a mass has no effect.
-FELT = 1e-4
+# Share of a load below which a mass has no effect, and of the floor below which noise of other joints does not count.
+FELT, FELT_NOISE = 1e-4, 0.35
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 # Share of the samples that may be left out because the other joints move too fast between samples.
@@ -152,13 +152,14 @@ class JointView(RigView):
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
     def _noise_of_others(self) -> float:
-        """Return the RMS of the gap that noise of the other joints' readings makes, rad or m.
+        """Return the RMS of the gap that noise of the other joints' readings makes, rad or m; 0 if it is small.
 
         A light joint, such as a wrist, follows the accelerations of the joints that carry it.
         """
         random = np.random.default_rng(0)
         noisy = [others.noisy(each, m.grid.step_s, random) for each, m in zip(self._around, self._motions, strict=True)]
-        return rms(self._moved(noisy)) if any(noisy) else 0.0
+        noise = rms(self._moved(noisy)) if any(noisy) else 0.0
+        return noise if noise > FELT_NOISE * self.floor[0] else 0.0
 
     def _courses_with(self, around: Sequence[others.Around]) -> list[Course]:
         """Return the motion of the whole model in each trial with a motion of the other joints."""
