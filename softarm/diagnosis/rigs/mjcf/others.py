@@ -1,11 +1,12 @@
 """Measured motion of the other joints of a mechanism, which loads a joint."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 from softarm.diagnosis.rigs.scales import white_noise
@@ -14,18 +15,22 @@ from softarm.diagnosis.rigs.scales import white_noise
 Around = Mapping[str, tuple[Array, Array, Array]]
 
 
-def measured(mechanism: Mechanism, joint: Joint, trial: Trial, own: Motion) -> Around:
-    """Return the motion of the other measured columns of a trial, on the grid of the joint's own motion."""
+def measured(mechanism: Mechanism, joint: Joint, trials: Sequence[Trial], own: Sequence[Motion]) -> list[Around]:
+    """Return the motion of the other measured columns of each trial, on the grid of the joint's own motion."""
+    return [_measured(mechanism, joint, trial, m.grid) for trial, m in zip(trials, own, strict=True)]
+
+
+def _measured(mechanism: Mechanism, joint: Joint, trial: Trial, grid: Grid) -> Around:
     found, poses = {}, {name for pose in mechanism.poses for name in pose.columns}
     for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
         for pose in mechanism.poses:
             series = pose.continuous(series, trial.source)
         for name in series.columns:
             if name in poses:
-                found[name] = smoothed(series, name, own.grid)
+                found[name] = smoothed(series, name, grid)
             elif name != joint.name:
                 mechanism.joint(name)
-                found[name] = differences(series, name, own.grid)
+                found[name] = differences(series, name, grid)
     return found
 
 

@@ -87,13 +87,11 @@ class JointView(RigView):
         self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
         self._actuator, self._inputs = self._drive(trials)
-        column = joint.name
-        step = resolution([t.channel("measured")[column] for t in trials])
-        limit = largest_acceleration(trials, column, step)
-        self._motions = motions(trials, column, step, limit, rate_hz=RATE_HZ)
+        step = resolution([t.channel("measured")[joint.name] for t in trials])
+        limit = largest_acceleration(trials, joint.name, step)
+        self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._sent = self._sampled_commands()
-        moving = (others.measured(self._mechanism, joint, t, m) for t, m in zip(trials, self._motions, strict=True))
-        self._around: list[others.Around] = [*moving]
+        self._around = others.measured(self._mechanism, joint, trials, self._motions)
         self._courses = self._courses_with(self._around)
         self._terms = [slopes(self._mechanism, joint, course) for course in self._courses]
         self._torques = Torques(self._terms, self._motions)
@@ -121,8 +119,8 @@ class JointView(RigView):
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
         if any(each.any() for each in out):
             self._refuse_touching(seen, trials)
-        stamps = [m.grid.t_s for m in self._motions]
-        super().__init__(stage.name, scales.length, (column,), own, stamps, [s[:, None] for s in seen], step, signals)
+        t_s = [m.grid.t_s for m in self._motions]
+        super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
         self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
