@@ -160,8 +160,8 @@ def row(page):
 
 @pytest.fixture
 def short(monkeypatch):
-    """Add an excitation of half a second after a lead-in as long."""
-    made = excitation.Excitation("short", "half a bend", (excitation.Ramp(0.5, 0.0, 8.0),))
+    """Add an excitation of two seconds, since a busy machine may stall a daemon for half of one."""
+    made = excitation.Excitation("short", "half a bend", (excitation.Ramp(2.0, 0.0, 8.0),))
     monkeypatch.setitem(excitation.EXCITATIONS, "short", made)
     monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
 
