@@ -180,9 +180,7 @@ def _loop(s: JointScales) -> Iterator[Effect]:
 
 def _friction(s: JointScales) -> Iterator[Effect]:
     usual, dry = USUAL * s.usual, s.joint.friction
-    most, exemplar = max(1.5 * s.torque, 3 * dry), dry + usual
-    if s.lost > LOST * exemplar:
-        most, exemplar = max(most, LOST * s.lost), s.lost
+    most, exemplar = _range(s.lost, max(1.5 * s.torque, 3 * dry), dry + usual)
     yield like(
         "arm.coulomb_friction",
         "dry friction",
@@ -213,13 +211,16 @@ def _friction(s: JointScales) -> Iterator[Effect]:
     yield from _of_speed(s)
 
 
+def _range(lost: float, most: float, exemplar: float) -> tuple[float, float]:
+    """Return the bound and the usual size of a friction, enlarged if the lost torque is far above the usual size."""
+    return (max(most, LOST * lost), lost) if lost > LOST * exemplar else (most, exemplar)
+
+
 def _of_speed(s: JointScales) -> Iterator[Effect]:
     """Yield friction that grows with the speed."""
     usual, per_speed, per_square = USUAL * s.usual, f"{s.force} s/{s.length}", f"{s.force} s^2/{s.length}^2"
     top, own = 3 * s.torque / s.speed, s.joint.viscous
-    most, exemplar = max(top, 3 * own), own + usual / s.speed
-    if s.lost > LOST * exemplar * s.speed:
-        most, exemplar = max(most, LOST * s.lost / s.speed), s.lost / s.speed
+    most, exemplar = _range(s.lost / s.speed, max(top, 3 * own), own + usual / s.speed)
     yield like(
         "arm.damping",
         "viscous friction; a motor's back-EMF acts alike",
