@@ -76,6 +76,7 @@ class Page {
     setText($("version"), `softarm ${this.robot.version ?? ""}`);
     if (this.arm) return void this.arm.setRobot(this.robot);
     this.arm = new Arm($("drawing"), this.robot);
+    $("drawing-row").append(this.arm.solidButton());
     this.aim = new Aim($("drawing"), this.arm, (target) => this.controls.reach(target));
   }
 

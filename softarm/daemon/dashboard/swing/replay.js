@@ -80,7 +80,10 @@ export class Replay {
     this.swing = swing;
     const { robot, goal, closest } = swing;
     if (this.arm) this.arm.setRobot(robot);
-    else this.arm = new Arm(this.drawing, robot);
+    else {
+      this.arm = new Arm(this.drawing, robot);
+      this.clock.after(this.arm.solidButton());
+    }
     const text = closest && `closest ${number(closest.m * 100, 1)} cm`;
     this.columns = bodyColumns(swing);
     const tip = closest && spotBetween(swing.t, [swing.curves.tip_y_m, swing.curves.tip_z_m], closest.at);

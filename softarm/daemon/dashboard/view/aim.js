@@ -28,8 +28,9 @@ export class Aim {
     });
   }
 
-  // Return the point under the pointer in metres, or null below the plane.
+  // Return the point under the pointer in metres, or null below the plane and in perspective, where a drag turns the view.
   under(event) {
+    if (this.arm.solid) return null;
     const box = this.arm.drawn.getBoundingClientRect();
     const size = this.arm.plane.width / box.width; // the browser may scale the drawing
     const [x, y] = [(event.clientX - box.left) * size, (event.clientY - box.top) * size];

@@ -1,8 +1,9 @@
-// The drawing of the arm from motion capture, updated with every status; also of the moments of a swing.
+// The drawing of the arm from motion capture, updated with every status; also of the moments of a swing. From the side, or in perspective.
 
 /* global ARM_RADII_M, GOAL_WORDS, armOutline */
-import { svg, finite, number } from "./dom.js";
+import { el, svg, finite, number } from "./dom.js";
 import { Plane, scene, withinReach } from "./scene.js";
+import { Solid } from "./solid.js";
 
 const TRAIL = 90; // positions of the tip
 const SHADES = 6; // steps of opacity along the trail
@@ -15,6 +16,7 @@ export class Arm {
     this.trained = null;
     this.aim = null;
     this.ghost = null;
+    this.solid = null;
     new ResizeObserver(() => this.layOut()).observe(place);
     this.layOut();
   }
@@ -38,12 +40,24 @@ export class Arm {
       part("text", "no-arm", { x: width / 2, y: plane.v(0.8), "text-anchor": "middle" }),
       part("g", "preview", { visibility: "hidden" }));
     this.cart.append(svg("rect", cart));
-    this.place.replaceChildren(this.drawn);
+    this.drawn.toggleAttribute("hidden", this.solid !== null);
+    this.place.replaceChildren(this.drawn, ...(this.solid ? [this.solid.canvas] : []));
     this.ring(this.goal, "target");
     this.ring(this.preview, "aim");
     this.setGhost(this.ghost);
     if (this.status) this.draw(this.status);
     this.point(this.aim);
+  }
+
+  // Return a button that shows the arm in perspective instead of from the side.
+  solidButton() {
+    const button = el("button", { type: "button", class: "small", "aria-pressed": "false", title: "Show the arm in perspective. A drag turns it, a double click turns it back." }, "3D");
+    button.addEventListener("click", () => {
+      this.solid = this.solid ? null : new Solid(this);
+      button.setAttribute("aria-pressed", String(this.solid !== null));
+      this.layOut();
+    });
+    return button;
   }
 
   // Add a cross, a circle with the success radius and a label.
@@ -79,6 +93,7 @@ export class Arm {
   // Show the aim, or hide it if null.
   point(aim) {
     this.aim = aim;
+    this.solid?.draw();
     if (!aim) return void this.preview.setAttribute("visibility", "hidden");
     const within = withinReach(this.robot, aim.y_m, aim.z_m);
     const text = `y ${number(aim.y_m, 3)}  z ${number(aim.z_m, 3)} m${within ? "" : "  out of reach"}`;
@@ -99,9 +114,8 @@ export class Arm {
   draw(status) {
     this.status = status;
     this.drawn.dataset.tick = status.tick;
-    const values = status.observed?.values ?? [];
-    const bodies = (status.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
-    const cart = bodies[0]?.[0] ?? values[0] ?? status.rail_position_m;
+    if (this.solid) return void this.solid.draw();
+    const { bodies, cart } = this.moment(status);
     const tip = this.tipOf(status);
     this.cart.setAttribute("visibility", finite(cart) ? "visible" : "hidden");
     if (finite(cart)) this.cart.setAttribute("transform", `translate(${this.plane.h(cart).toFixed(1)} ${this.plane.v(this.robot.hinge_z_m).toFixed(1)})`);
@@ -112,7 +126,13 @@ export class Arm {
     this["no-arm"].textContent = outline ? "" : "No motion capture";
     this.drawTrail();
     this.showGoal(status.goal);
-    this.drawShelf(status.goal?.goal, status.policy_info?.shelf_depth_m);
+    this.drawShelf(this.shelfOf(status));
+  }
+
+  // Return the tracked bodies, null where one is not, and the cart's position in m.
+  moment(status) {
+    const bodies = (status.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
+    return { bodies, cart: bodies[0]?.[0] ?? status.observed?.values[0] ?? status.rail_position_m };
   }
 
   // Return the outline of the arm as the points of a polygon; empty if fewer than two bodies are tracked.
@@ -145,24 +165,32 @@ export class Arm {
     circle.setAttribute("cy", this.plane.v(at[1]).toFixed(1));
   }
 
-  drawTrail() {
+  // Return the positions of the tip in pieces of one opacity, the oldest first.
+  shades() {
     const each = TRAIL / SHADES;
     const from = TRAIL - this.trail.length;
-    this.paths.forEach((path, k) => {
-      const piece = this.trail.slice(Math.max(0, k * each - from - 1), Math.max(0, (k + 1) * each - from)).filter(Boolean);
-      path.setAttribute("d", piece.length > 1 ? `M${piece.map((at) => this.px(at)).join("L")}` : "");
-    });
+    return Array.from({ length: SHADES }, (_, k) => this.trail.slice(Math.max(0, k * each - from - 1), Math.max(0, (k + 1) * each - from)).filter(Boolean));
   }
 
-  // Draw the shelf next to the target, front edge on the +y side.
-  drawShelf(goal, depth_m) {
-    const visible = finite(depth_m) && goal?.kind === "reach" && finite(goal.y_m);
-    this.shelf.setAttribute("visibility", visible ? "visible" : "hidden");
-    if (!visible) return;
-    const [left, right] = [this.plane.h(-this.plane.wide), this.plane.h(goal.y_m + depth_m)];
+  drawTrail() {
+    this.shades().forEach((piece, k) => this.paths[k].setAttribute("d", piece.length > 1 ? `M${piece.map((at) => this.px(at)).join("L")}` : ""));
+  }
+
+  // Return the shelf next to the target, front edge on the +y side: {front_m, z_m}; null if there is none.
+  shelfOf(status) {
+    const goal = status?.goal?.goal;
+    const depth_m = status?.policy_info?.shelf_depth_m;
+    if (!finite(depth_m) || goal?.kind !== "reach" || !finite(goal.y_m)) return null;
+    return { front_m: goal.y_m + depth_m, z_m: goal.z_m - (this.robot.shelf_board_below_m ?? 0) };
+  }
+
+  drawShelf(shelf) {
+    this.shelf.setAttribute("visibility", shelf ? "visible" : "hidden");
+    if (!shelf) return;
+    const [left, right] = [this.plane.h(-this.plane.wide), this.plane.h(shelf.front_m)];
     this.shelf.setAttribute("x", left);
     this.shelf.setAttribute("width", Math.max(0, right - left).toFixed(1));
-    this.shelf.setAttribute("y", this.plane.v(goal.z_m - (this.robot.shelf_board_below_m ?? 0)).toFixed(1));
+    this.shelf.setAttribute("y", this.plane.v(shelf.z_m).toFixed(1));
   }
 
   showGoal(goalStatus) {
