@@ -74,11 +74,12 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-_Number = Annotated[float | None, BeforeValidator(_finite)]  # None for NaN and infinity, which JSON does not have
+# null for NaN and infinity: a plot's line has a gap there, while it goes on straight over a field that is absent.
+_Number = Annotated[float | None, BeforeValidator(_finite)]
 
 
 class State(BaseModel):
-    """Tick as flat numbers for plots, without missing values."""
+    """Tick as flat numbers for plots; null where a value is missing, although Foxglove's schemas cannot state that."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -191,7 +192,7 @@ class Converter:
                 yield self.journal(one)
             case Tick():
                 yield from self._scenes(one, at_ns)
-                yield LogMessage(STATE, at_ns, at_ns, self._state(one).model_dump_json(exclude_none=True).encode())
+                yield LogMessage(STATE, at_ns, at_ns, self._state(one).model_dump_json().encode())
 
     def journal(self, entry: Entry) -> LogMessage:
         """Return an event as foxglove.Log."""
