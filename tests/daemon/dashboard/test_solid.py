@@ -15,9 +15,9 @@ async () => {
   const arm = new Arm(place, robot);
   const z = robot.hinge_z_m;
   const bodies = [[0.05, z], [0.05, z], [0.04, z - 0.1], [0.02, z - 0.2], [-0.02, z - 0.3], [-0.08, z - 0.38]];
-  arm.draw({ tick: 1, bodies, goal: null });
   const button = arm.solidButton();
-  button.click();
+  button.click(); // before the first status
+  arm.draw({ tick: 1, bodies, goal: null });
   const { solid } = arm;
   const { data } = solid.ink.getImageData(0, 0, solid.canvas.width, solid.canvas.height);
   const colour = (point) => {

@@ -129,10 +129,10 @@ export class Arm {
     this.drawShelf(this.shelfOf(status));
   }
 
-  // Return the tracked bodies, null where one is not, and the cart's position in m.
+  // Return the tracked bodies, null where one is not, and the cart's position in m; of no status, none.
   moment(status) {
-    const bodies = (status.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
-    return { bodies, cart: bodies[0]?.[0] ?? status.observed?.values[0] ?? status.rail_position_m };
+    const bodies = (status?.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
+    return { bodies, cart: bodies[0]?.[0] ?? status?.observed?.values[0] ?? status?.rail_position_m };
   }
 
   // Return the outline of the arm as the points of a polygon; empty if fewer than two bodies are tracked.

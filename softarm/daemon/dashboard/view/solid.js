@@ -139,24 +139,34 @@ export class Solid {
     const { robot, plane, status } = this.arm;
     const z = robot.hinge_z_m;
     const [first, last] = robot.rail_travel_m;
-    const half = (last - first) / 2;
+    const moment = this.arm.moment(status);
     const named = (name, faces) => faces.map((one) => ({ ...one, name }));
-    const faces = named("soft", box([0, (first + last) / 2, z], [RAIL_M, half, RAIL_M]));
+    const faces = [];
+    // The rail on each side of the cart: a face as long as the rail has no order with the cart's.
+    const sides = finite(moment.cart) ? [[first, moment.cart - CART_M[1]], [moment.cart + CART_M[1], last]] : [[first, last]];
+    for (const [low, high] of sides) faces.push(...named("soft", box([0, (low + high) / 2, z], [RAIL_M, (high - low) / 2, RAIL_M])));
     for (const y of [first, last]) faces.push(...named("ink", box([0, y, z], [2.2 * RAIL_M, 0.006, 2.2 * RAIL_M])));
     const shelf = this.arm.shelfOf(status);
     if (shelf) faces.push(...named("board", box([0, (shelf.front_m - plane.wide) / 2, shelf.z_m - SHELF_M[1]], [SHELF_M[0], (shelf.front_m + plane.wide) / 2, SHELF_M[1]])));
-    const moment = this.arm.moment(status);
     if (finite(moment.cart)) faces.push(...named("ink", box([0, moment.cart, z], CART_M)));
     const seen = moment.bodies.filter(Boolean);
-    if (seen.length > 1) faces.push(...named("arm", revolved(armOutline(seen, ARM_RADII_M, STEPS))));
+    if (seen.length > 1) faces.push(...named("arm", revolved(armOutline(seen, ARM_RADII_M, STEPS)).filter((one) => !this.isRail(one)))); // its upper end is inside the cart
     return faces;
   }
 
-  // Draw the faces that are turned to the eye, the farthest first.
+  // Return whether a face is at the height of rail and cart, above arm and shelf.
+  isRail({ centre }) {
+    return centre[2] >= this.underRail_m;
+  }
+
+  // Draw the faces that are turned to the eye, the farthest first; of the two sides of the plane under the rail, the eye's own last.
   drawFaces() {
     const centred = ({ centre: [x, y, z] }) => rotate(this.view, [x, y, z - this.middle_m]);
     const towards = (one) => dot(rotate(this.view, one.normal), minus([0, 0, EYE_M], one.at)) > 0;
-    const faces = this.faces().map((one) => ({ ...one, at: centred(one) })).filter(towards).sort((a, b) => a.at[2] - b.at[2]);
+    this.underRail_m = this.arm.robot.hinge_z_m - CART_M[2] - 0.001;
+    const isEyeAbove = this.middle_m + EYE_M * Math.sin(this.view.tilt) > this.underRail_m;
+    const last = (one) => Number(this.isRail(one) === isEyeAbove);
+    const faces = this.faces().map((one) => ({ ...one, at: centred(one) })).filter(towards).sort((a, b) => last(a) - last(b) || a.at[2] - b.at[2]);
     const colours = Object.fromEntries(["soft", "ink", "board", "arm"].map((name) => [name, rgb(this.colour(name))]));
     for (const { corners, normal, name } of faces) {
       const light = AMBIENT + (1 - AMBIENT) * Math.max(0, dot(normal, LIGHT));
@@ -188,7 +198,7 @@ export class Solid {
       this.ball([goal.y_m, goal.z_m], arm.robot.success_radius_m, state === "reached" ? "good" : "requested", 0.18, GOAL_WORDS[state] ?? state);
     }
     if (arm.aim) this.ball([arm.aim.y_m, arm.aim.z_m], arm.robot.success_radius_m, "ink", 0.1, `y ${arm.aim.y_m.toFixed(2)}  z ${arm.aim.z_m.toFixed(2)} m`);
-    if (!status || arm.moment(status).bodies.filter(Boolean).length < 2) this.text("No motion capture", arm.plane.width / 2, arm.plane.bottom / 2, "warning");
+    if (arm.moment(status).bodies.filter(Boolean).length < 2) this.text("No motion capture", arm.plane.width / 2, arm.plane.bottom / 2, "warning");
   }
 
   // Draw a ball, filled with the given opacity, with a text above.
