@@ -36,8 +36,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     effects = {name: dict(values) for name, values in data.pop("effects", {}).items()}
     for place, value in sorted(found.items()):
         name, _, parameter = place.rpartition(".")
-        if not name or parameter.startswith("mass_"):
-            continue  # the mass of one body belongs to the model file: --patch FILE.xml
+        if not name or parameter.startswith("mass_") or parameter == "integration":
+            continue  # of the model file (--patch FILE.xml) and of the recording
         if link := _LINK.fullmatch(parameter):
             about = data["mechanisms"][name] if "mechanisms" in data else data
             about["model"] |= _reweighed(about["model"], about["links"], link[1], int(link[2]) - 1, value)

@@ -67,7 +67,8 @@ def test_the_picture_has_the_arm_where_the_bodies_are(page):
     drawn = page.evaluate(DRAWN)
     assert drawn["hidden"]
     assert drawn["tip"] == [0x35, 0x33, 0x2F]  # --measured
-    assert all(0.55 * full < value <= full for value, full in zip(drawn["link"], (0xEF, 0xE6, 0xCF), strict=True))  # --arm
+    arm = (0xEF, 0xE6, 0xCF)  # --arm
+    assert all(0.55 * full < value <= full for value, full in zip(drawn["link"], arm, strict=True))
     assert drawn["beside"] == [0, 0, 0]  # nothing is drawn
     seen, from_the_side = drawn["flat"]
     assert seen == pytest.approx(from_the_side, rel=1e-6)

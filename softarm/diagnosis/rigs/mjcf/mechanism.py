@@ -114,6 +114,7 @@ class Mechanism:
         self.path, self._mujoco = path, _mujoco(path)
         self.model = _loaded(self._mujoco, path)
         self.step_s = float(self.model.opt.timestep)
+        self.is_first_order = int(self.model.opt.integrator) != int(self._mujoco.mjtIntegrator.mjINT_RK4)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
         self._ratios, away = (self._closure.ratios(each) for each in (self._closure.zero(), self._closure.away()))
         self._follows = np.abs(away) > FOLLOWS  # degree of freedom, of another

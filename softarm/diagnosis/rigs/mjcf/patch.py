@@ -61,8 +61,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
             link = model.last_link(joint)
             at = link.place(found.get(f"{name}.payload.distance", 0.0))
             payloads.setdefault(link.body, []).append((value, *at))
-        elif parameter == "payload.distance":
-            continue
+        elif parameter in ("payload.distance", "integration"):
+            continue  # written with the mass; an error of the recording
         elif parameter.startswith("tilt."):
             tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)
         elif not _written(edits, joint, parameter, value, found):

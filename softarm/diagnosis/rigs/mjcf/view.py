@@ -16,10 +16,10 @@ from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, time_since_change, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks, others
+from softarm.diagnosis.rigs.mjcf import checks, others, own_errors
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Course, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, torque
@@ -404,23 +404,24 @@ class JointView(RigView):
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
-        """Masses of the single bodies behind the joint, if there are several: name -> share of its value."""
-        bodies = self._joint.bodies if self._scales.mass else ()
-        return {f"{self.stage}.mass_{body}": OF_OWN for body in bodies} if len(bodies) > 1 else {}
+        """Errors of a good model that are no effect: name -> share of a body's mass, or of the model's time step."""
+        names = own_errors.names(self._mechanism, self._joint, bool(self._scales.mass), any(self._around))
+        return {f"{self.stage}.{name}": 1.0 if name == own_errors.INTEGRATION else OF_OWN for name in names}
 
     def own_directions(self) -> NDArray[np.float32]:
-        """Return how the gap changes with the mass of each body, [q, M, 1]."""
+        """Return how the gap changes with each of these errors, [q, M, 1]."""
         base = self._gaps([{}])
-        found = [self._gaps([{}], terms) - base for terms in self._with_heavier_bodies]
+        found = [self._gaps([{}], terms) - base for terms in self._with_own_errors]
         return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
 
     @cached_property
-    def _with_heavier_bodies(self) -> list[Array]:
-        """Rigid-body terms with each body behind the joint heavier, [ROWS, M] each."""
-        changes = [Change(mass_share=OF_OWN, body=name.partition(".mass_")[2]) for name in self.own_nuisances]
-        terms, courses = self._mechanism.terms, self._courses
+    def _with_own_errors(self) -> list[Array]:
+        """Rigid-body terms with each of these errors, [ROWS, M] each."""
+        errors = [(name.removeprefix(f"{self.stage}."), share) for name, share in self.own_nuisances.items()]
+        motions, around, courses = self._motions, self._around, self._courses
         return [
-            np.concatenate([terms(self._joint, course, change) for course in courses], axis=1) for change in changes
+            own_errors.terms(self._mechanism, self._joint, name, share, motions, around, courses)
+            for name, share in errors
         ]
 
     @property

@@ -1,0 +1,83 @@
+"""Errors of a recorded simulation that are no effect of the robot."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.stage import examine, view_of
+
+pytestmark = pytest.mark.slow
+JOINTS = "turret", "shoulder"
+ROBOT = """<mujoco>
+  <option timestep="0.002" integrator="{integrator}"/>
+  <worldbody><body name="base">
+    <joint name="turret" axis="0 0 1" damping="0.1"/>
+    <geom type="cylinder" size="0.06 0.05" mass="2" contype="0" conaffinity="0"/>
+    <body name="boom" pos="0 0 0.1">
+      <joint name="shoulder" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.03" mass="3" contype="0" conaffinity="0"/>
+    </body>
+  </body></worldbody>
+  <actuator><motor name="turn" joint="turret"/><motor name="lift" joint="shoulder"/></actuator>
+</mujoco>
+"""
+STAGE = """kind: mujoco
+channels:
+  measured:
+    time: {source: t, unit: s}
+    columns: {turret: {source: turret, unit: rad}, shoulder: {source: shoulder, unit: rad}}
+  command:
+    time: {source: t, unit: s}
+    columns: {turn: {source: turn, unit: N m}, lift: {source: lift, unit: N m}}
+model: {mjcf: robot.xml}
+trials: [{files: "motion*.csv"}]
+"""
+RATE_HZ, SECONDS = 250, 12
+
+
+def record(text, file, seed):
+    """Track sines by torques of the model's inverse dynamics, with MuJoCo's own steps, and encoders of 0.02 mrad."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, random = mujoco.MjData(model), np.random.default_rng(seed)
+    t = np.arange(SECONDS * RATE_HZ) / RATE_HZ
+    phase = random.uniform(0, 2 * np.pi, (2, 2))
+    wanted = [
+        [0.5 * np.sin(2 * np.pi * f * t + p) / f**0.5 for f, p in zip((0.4, 1.1), each, strict=True)] for each in phase
+    ]
+    wanted = np.sum(wanted, axis=1).T
+    speeds = np.gradient(wanted, 1 / RATE_HZ, axis=0)
+    data.qpos[:], data.qvel[:] = wanted[0], speeds[0]
+    rows = ["t,turn,lift,turret,shoulder"]
+    for at, goal, speed in zip(t, wanted, speeds, strict=True):
+        data.qacc[:] = 100 * (goal - data.qpos) + 20 * (speed - data.qvel)
+        mujoco.mj_inverse(model, data)
+        data.ctrl[:] = data.qfrc_inverse
+        values = at, *data.ctrl, *data.qpos + 2e-5 * random.normal(size=2)
+        rows.append(",".join(f"{value:.8g}" for value in values))
+        mujoco.mj_step(model, data, nstep=round(1 / RATE_HZ / model.opt.timestep))
+    file.write_text("\n".join(rows))
+
+
+def turret(folder, integrator):
+    """Return the trials of the turret, of a healthy robot that MuJoCo has moved."""
+    text = ROBOT.format(integrator=integrator)
+    (folder / "robot.xml").write_text(text)
+    (folder / "stage.yaml").write_text(STAGE)
+    for seed in range(3):
+        record(text, folder / f"motion-{seed}.csv", seed)
+    return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "turret"]
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_forces_of_the_step_before_are_calibrated_and_no_effect(tmp_path, integrator):
+    found = examine(turret(tmp_path, integrator))
+    assert found.decision.kind == "none"
+    (late,) = [one for one in found.calibration if one.name == "turret.integration"]
+    assert 0.3 < late.value < 0.9  # half a step
+    assert found.answer.calibrated < 0.5 * found.answer.before
+
+
+def test_an_integrator_of_higher_order_has_no_such_error(tmp_path):
+    view, _ = view_of(turret(tmp_path, "RK4"))
+    assert list(view.own_nuisances) == ["turret.mass_base", "turret.mass_boom"]
