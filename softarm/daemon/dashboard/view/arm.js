@@ -46,6 +46,7 @@ export class Arm {
     this.ring(this.preview, "aim");
     this.setGhost(this.ghost);
     if (this.status) this.draw(this.status);
+    else this.solid?.draw();
     this.point(this.aim);
   }
 
@@ -92,12 +93,19 @@ export class Arm {
 
   // Show the aim, or hide it if null.
   point(aim) {
+    if (!aim && !this.aim) return;
     this.aim = aim;
     this.solid?.draw();
     if (!aim) return void this.preview.setAttribute("visibility", "hidden");
-    const within = withinReach(this.robot, aim.y_m, aim.z_m);
-    const text = `y ${number(aim.y_m, 3)}  z ${number(aim.z_m, 3)} m${within ? "" : "  out of reach"}`;
+    const { text, within } = this.aimLabel();
     this.move(this.preview, aim.y_m, aim.z_m, text, within ? "within" : "out");
+  }
+
+  // Return the label of the aim, and whether it looks reachable.
+  aimLabel() {
+    const { y_m, z_m } = this.aim;
+    const within = withinReach(this.robot, y_m, z_m);
+    return { text: `y ${number(y_m, 3)}  z ${number(z_m, 3)} m${within ? "" : "  out of reach"}`, within };
   }
 
   // Add the tip of every status to the trail, also of those that are not drawn.
@@ -125,7 +133,7 @@ export class Arm {
     this.dot(this.tip, tip);
     this["no-arm"].textContent = outline ? "" : "No motion capture";
     this.drawTrail();
-    this.showGoal(status.goal);
+    this.showGoal(this.targetOf(status));
     this.drawShelf(this.shelfOf(status));
   }
 
@@ -178,10 +186,10 @@ export class Arm {
 
   // Return the shelf next to the target, front edge on the +y side: {front_m, z_m}; null if there is none.
   shelfOf(status) {
-    const goal = status?.goal?.goal;
+    const target = this.targetOf(status);
     const depth_m = status?.policy_info?.shelf_depth_m;
-    if (!finite(depth_m) || goal?.kind !== "reach" || !finite(goal.y_m)) return null;
-    return { front_m: goal.y_m + depth_m, z_m: goal.z_m - (this.robot.shelf_board_below_m ?? 0) };
+    if (!target || !finite(depth_m)) return null;
+    return { front_m: target.y_m + depth_m, z_m: target.z_m - (this.robot.shelf_board_below_m ?? 0) };
   }
 
   drawShelf(shelf) {
@@ -193,9 +201,15 @@ export class Arm {
     this.shelf.setAttribute("y", this.plane.v(shelf.z_m).toFixed(1));
   }
 
-  showGoal(goalStatus) {
-    const goal = goalStatus?.goal;
-    if (goal?.kind !== "reach" || !finite(goal.y_m)) return void this.goal.setAttribute("visibility", "hidden");
-    this.move(this.goal, goal.y_m, goal.z_m, GOAL_WORDS[goalStatus.state] ?? goalStatus.state, goalStatus.state);
+  // Return the target of a reach goal: {y_m, z_m, state, text}; null if there is none.
+  targetOf(status) {
+    const { goal, state } = status?.goal ?? {};
+    if (goal?.kind !== "reach" || !finite(goal.y_m)) return null;
+    return { y_m: goal.y_m, z_m: goal.z_m, state, text: GOAL_WORDS[state] ?? state };
+  }
+
+  showGoal(target) {
+    if (!target) return void this.goal.setAttribute("visibility", "hidden");
+    this.move(this.goal, target.y_m, target.z_m, target.text, target.state);
   }
 }

@@ -1,6 +1,6 @@
 // The arm in perspective, on a canvas: the outline of the side view revolved, with rail, cart, shelf, target and trail. A drag turns it.
 
-/* global ARM_RADII_M, GOAL_WORDS, armOutline */
+/* global ARM_RADII_M, armOutline */
 import { el, finite } from "./dom.js";
 
 const SIDES = 14; // of the arm's cross-section
@@ -70,6 +70,16 @@ export class Solid {
     this.canvas.addEventListener("dblclick", () => this.look(VIEW));
   }
 
+  // Height in the middle of the drawing.
+  get middle_m() {
+    return (this.arm.plane.top + this.arm.plane.low) / 2;
+  }
+
+  // Height of a plane under rail and cart, above arm and shelf.
+  get underRail_m() {
+    return this.arm.robot.hinge_z_m - CART_M[2] - 0.001;
+  }
+
   turn(right_px, down_px) {
     const { turn, tilt } = this.view;
     this.look({ turn: turn - right_px / PX_PER_RAD, tilt: Math.min(Math.max(tilt + down_px / PX_PER_RAD, TILT[0]), TILT[1]) });
@@ -92,7 +102,6 @@ export class Solid {
     const { arm: { plane }, canvas } = this;
     const fine = window.devicePixelRatio || 1;
     Object.assign(canvas, { width: Math.round(plane.width * fine), height: Math.round(plane.height * fine) });
-    this.middle_m = plane.top - plane.bottom / plane.scale / 2;
     this.style = getComputedStyle(canvas);
     this.ink = canvas.getContext("2d");
     this.ink.scale(fine, fine);
@@ -163,7 +172,6 @@ export class Solid {
   drawFaces() {
     const centred = ({ centre: [x, y, z] }) => rotate(this.view, [x, y, z - this.middle_m]);
     const towards = (one) => dot(rotate(this.view, one.normal), minus([0, 0, EYE_M], one.at)) > 0;
-    this.underRail_m = this.arm.robot.hinge_z_m - CART_M[2] - 0.001;
     const isEyeAbove = this.middle_m + EYE_M * Math.sin(this.view.tilt) > this.underRail_m;
     const last = (one) => Number(this.isRail(one) === isEyeAbove);
     const faces = this.faces().map((one) => ({ ...one, at: centred(one) })).filter(towards).sort((a, b) => last(a) - last(b) || a.at[2] - b.at[2]);
@@ -192,12 +200,12 @@ export class Solid {
     arm.shades().forEach((piece, k, { length }) => this.line(piece.map(flat), "measured", 1.75, { alpha: 0.75 * ((k + 1) / length) ** 1.5 }));
     const tip = status && arm.tipOf(status);
     if (tip) this.ball(tip, 0.011, "measured", 1);
-    const goal = status?.goal?.goal;
-    if (goal?.kind === "reach" && finite(goal.y_m)) {
-      const { state } = status.goal;
-      this.ball([goal.y_m, goal.z_m], arm.robot.success_radius_m, state === "reached" ? "good" : "requested", 0.18, GOAL_WORDS[state] ?? state);
+    const target = arm.targetOf(status);
+    if (target) this.ball([target.y_m, target.z_m], arm.robot.success_radius_m, target.state === "reached" ? "good" : "requested", 0.18, target.text);
+    if (arm.aim) {
+      const { text, within } = arm.aimLabel();
+      this.ball([arm.aim.y_m, arm.aim.z_m], arm.robot.success_radius_m, within ? "ink" : "stop-text", 0.1, text);
     }
-    if (arm.aim) this.ball([arm.aim.y_m, arm.aim.z_m], arm.robot.success_radius_m, "ink", 0.1, `y ${arm.aim.y_m.toFixed(2)}  z ${arm.aim.z_m.toFixed(2)} m`);
     if (arm.moment(status).bodies.filter(Boolean).length < 2) this.text("No motion capture", arm.plane.width / 2, arm.plane.bottom / 2, "warning");
   }
 

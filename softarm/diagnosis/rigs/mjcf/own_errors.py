@@ -17,17 +17,18 @@ from softarm.diagnosis.rigs.motion import Motion
 MASS, INTEGRATION = "mass_", "integration"
 
 
-def names(mechanism: Mechanism, joint: Joint, weighs: bool, moves: bool) -> list[str]:
-    """Return the names of a joint's errors.
+def shares(mechanism: Mechanism, joint: Joint, of_mass: float, moves: bool) -> dict[str, float]:
+    """Return the size of each error of a joint, as a share of the body's mass or of the model's time step.
 
     Args:
         mechanism: the model.
         joint: the joint.
-        weighs: whether masses behind the joint have an effect.
+        of_mass: share of a body's mass; 0 if masses behind the joint have no effect.
         moves: whether other joints move, without which there are no Coriolis forces.
     """
-    bodies = joint.bodies if weighs and len(joint.bodies) > 1 else ()
-    return [MASS + body for body in bodies] + [INTEGRATION] * (moves and mechanism.is_first_order)
+    bodies = joint.bodies if of_mass and len(joint.bodies) > 1 else ()
+    late = {INTEGRATION: 1.0} if moves and mechanism.is_first_order else {}
+    return {MASS + body: of_mass for body in bodies} | late
 
 
 def terms(
@@ -44,8 +45,8 @@ def terms(
     Args:
         mechanism: the model.
         joint: the joint.
-        name: the error, of `names`.
-        share: size of the error, as a share of the body's mass or of the model's time step.
+        name: the error.
+        share: its size, of `shares`.
         motions: motion of the joint in each trial.
         around: motion of the other joints in each trial.
         courses: motion of the whole model in each trial.

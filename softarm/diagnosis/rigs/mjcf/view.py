@@ -405,8 +405,7 @@ class JointView(RigView):
     @property
     def own_nuisances(self) -> Mapping[str, float]:
         """Errors of a good model that are no effect: name -> share of a body's mass, or of the model's time step."""
-        names = own_errors.names(self._mechanism, self._joint, bool(self._scales.mass), any(self._around))
-        return {f"{self.stage}.{name}": 1.0 if name == own_errors.INTEGRATION else OF_OWN for name in names}
+        return {f"{self.stage}.{name}": share for name, share in self._own_errors.items()}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with each of these errors, [q, M, 1]."""
@@ -414,15 +413,17 @@ class JointView(RigView):
         found = [self._gaps([{}], terms) - base for terms in self._with_own_errors]
         return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
 
+    @property
+    def _own_errors(self) -> dict[str, float]:
+        of_mass = OF_OWN if self._scales.mass else 0.0
+        return own_errors.shares(self._mechanism, self._joint, of_mass, any(self._around))
+
     @cached_property
     def _with_own_errors(self) -> list[Array]:
         """Rigid-body terms with each of these errors, [ROWS, M] each."""
-        errors = [(name.removeprefix(f"{self.stage}."), share) for name, share in self.own_nuisances.items()]
-        motions, around, courses = self._motions, self._around, self._courses
-        return [
-            own_errors.terms(self._mechanism, self._joint, name, share, motions, around, courses)
-            for name, share in errors
-        ]
+        model, joint, motions, around = self._mechanism, self._joint, self._motions, self._around
+        found = self._own_errors.items()
+        return [own_errors.terms(model, joint, name, size, motions, around, self._courses) for name, size in found]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

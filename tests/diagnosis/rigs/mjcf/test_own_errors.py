@@ -8,7 +8,6 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.stage import examine, view_of
 
 pytestmark = pytest.mark.slow
-JOINTS = "turret", "shoulder"
 ROBOT = """<mujoco>
   <option timestep="0.002" integrator="{integrator}"/>
   <worldbody><body name="base">
