@@ -5,7 +5,6 @@ output and exit code 0 mean success.
 """
 
 import json
-import math
 import os
 import resource
 import signal
@@ -22,14 +21,18 @@ from softarm.schemas.policy import Observation, places
 
 TRIAL_S = 90.0  # to load and step once; a plug-in may compile for half a minute
 MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
-# The alarm ends the process if the daemon is gone. The daemon's real-time priority is dropped before any import.
+# The kernel kills the process if the daemon is gone (prctl(2), PR_SET_PDEATHSIG is 1), even in a loop without Python.
+# The daemon's real-time priority is dropped before any other import.
 _PROGRAM = """
+import ctypes
 import os
 import signal
 import sys
-signal.alarm(int(sys.argv[2]))
 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 os.nice(10)
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() != int(sys.argv[2]):
+    sys.exit()
 from softarm.policies import trial
 trial.main()
 """
@@ -63,7 +66,7 @@ def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: floa
     Raises PolicyError with the problem, also if it takes longer than `limit_s` or the process ends.
     """
     process = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM, name, str(math.ceil(limit_s) + 1)],
+        [sys.executable, "-c", _PROGRAM, name, str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -13,11 +12,12 @@ from softarm.policies import trial
 from softarm.policies.base import PolicyError
 from softarm.policies.trial import try_out
 from softarm.schemas.config import Policy as Configured
+from tests.processes import gone, until
 
 pytestmark = pytest.mark.timeout(120)
 
 PLUGIN = """
-import os, signal, sys, time
+import os, pathlib, signal, sys, time
 import numpy as np
 from softarm.policies.base import PolicySpec
 
@@ -30,6 +30,7 @@ class Plugged:
         self.does = does
         print("I am loaded")
         if does == "wedges":
+            pathlib.Path(__file__).with_name("wedged").write_text(str(os.getpid()))
             while True:
                 pass
 
@@ -46,6 +47,13 @@ class Plugged:
         if self.does == "hoards":
             np.ones(40 * 1024**3, dtype=np.uint8)
         return np.zeros(2, dtype=np.float32)
+"""
+
+DAEMON = """
+import json, sys
+from softarm.policies.trial import try_out
+from softarm.schemas.config import Policy
+try_out("mine", {name: Policy.model_validate(one) for name, one in json.loads(sys.argv[1]).items()}, 600)
 """
 
 
@@ -94,10 +102,13 @@ def test_a_trial_that_never_ends_is_killed(plugged):
 
 
 @pytest.mark.slow
-def test_a_trial_ends_without_its_daemon(plugged):
-    policies = json.dumps({name: one.model_dump() for name, one in plugged("wedges").items()})
-    left = subprocess.run([sys.executable, "-c", trial._PROGRAM, "mine", "1"], input=policies.encode(), timeout=60)
-    assert left.returncode == -signal.SIGALRM
+def test_a_trial_ends_with_its_daemon(plugged, tmp_path):
+    policies = {name: one.model_dump() for name, one in plugged("wedges").items()}
+    mark = tmp_path / "wedged"
+    with subprocess.Popen([sys.executable, "-c", DAEMON, json.dumps(policies)]) as daemon:
+        until(lambda: mark.exists() and mark.read_text(), "the trial")
+        daemon.kill()
+    until(lambda: gone(int(mark.read_text())), "the end of the trial")
 
 
 def test_a_policy_is_loaded_only_after_its_trial(plugged):
