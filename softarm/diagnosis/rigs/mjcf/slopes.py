@@ -55,7 +55,7 @@ def slopes(mechanism: Mechanism, joint: Joint, course: Course) -> Slopes:
     base = mechanism.terms(joint, course)
 
     def changed(change: Change) -> Array:
-        return mechanism.terms(joint, course, change) - base
+        return mechanism.terms(joint, course, change) - base if change != Change() else np.zeros_like(base)
 
     loads = [Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance) for distance in distances]
     shares = LENGTH_SHARES if mechanism.carries(joint) else ()
