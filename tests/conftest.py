@@ -22,6 +22,9 @@ from tools import chromium
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+# Processes of `make test` share two cores, on which threads of BLAS and OpenMP only wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # The same examples in every run and no time limit, since a machine may be slow. Mutation testing sets its own profile.
 settings.register_profile("tests", deadline=None, derandomize=True)
 if settings.get_current_profile_name() == "default":

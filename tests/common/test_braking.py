@@ -111,7 +111,7 @@ flights = st.builds(Flight, st.lists(speeds, min_size=1, max_size=40), ages, pau
 seeds = st.integers(0, 2**32)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(laws, st.floats(-0.2, 0.2), flights, seeds)
 def test_no_cart_within_the_assumptions_ever_passes_an_end(rule, start, flight, seed):
     """Commands, ages of readings, skipped ticks and delays are arbitrary."""
@@ -119,7 +119,7 @@ def test_no_cart_within_the_assumptions_ever_passes_an_end(rule, start, flight, 
     assert flight.fly(cart) <= ROUNDING_M
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_cart_passes_an_end_under_an_adverse_policy(seed):
     """Drive to and fro between the ends with the least information, which random histories rarely do."""
     draw = np.random.default_rng(seed)

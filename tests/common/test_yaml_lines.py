@@ -160,7 +160,7 @@ def test_an_empty_file_holds_no_keys(text):
     assert parse(text, FILE).data in ({}, None)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(st.sampled_from(PARTS), max_size=25).map("".join) | st.text(max_size=40))
 def test_any_text_is_a_document_or_an_error_in_words(text):
     try:

@@ -7,9 +7,9 @@ from softarm.schemas.config import Config
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(params=[3, pytest.param(1, marks=pytest.mark.prove)], ids=["one start", "every start"])
+@pytest.fixture(params=[6, pytest.param(1, marks=pytest.mark.prove)], ids=["every second target", "every start"])
 def starts(request, monkeypatch):
-    """Fly each target from one cart start, or from every one."""
+    """Fly every second target from one cart start, or each from every start."""
     flown = flights.grid()[:: request.param]
     monkeypatch.setattr(flights, "grid", lambda: flown)
 

@@ -27,7 +27,7 @@ def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples" / "gymnasium"))
     for name in ("speed", "train_sb3"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    monkeypatch.setattr(foreign, "VALIDATION_TRIALS", 60)
+    monkeypatch.setattr(foreign, "VALIDATION_TRIALS", 12)
 
 
 def reached(file: Path) -> int:

@@ -81,8 +81,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def install(python: Path, *packages: Path) -> None:
-    pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-build-isolation")
-    run(*pip, *packages, cwd=python.parent)
+    pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-compile")
+    run(*pip, "--no-build-isolation", *packages, cwd=python.parent)
 
 
 # Over 3 s: makes an environment and installs the wheel, once for all tests.

@@ -81,7 +81,7 @@ def test_the_order_counts_a_lag_before_the_ramp_would_be_elsewhere() -> None:
     assert np.abs(there - here).max() > 0.03
 
 
-@pytest.mark.parametrize("force_n", [0.8, 1.4])
+@pytest.mark.parametrize("force_n", [0.8, pytest.param(1.4, marks=pytest.mark.prove)])
 @pytest.mark.parametrize(("lag_s", "dry_n", "push_n"), [(0.0, 0.0, 0.0), (0.03, 0.0, -0.3), (0.0, 0.4, 0.2)])
 def test_a_motor_at_its_limit_lets_the_ramp_run_on(force_n: float, lag_s: float, dry_n: float, push_n: float) -> None:
     """Against a solver of ordinary differential equations: m v' = clip(loop and feed-forward) - friction + push.

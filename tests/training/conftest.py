@@ -27,8 +27,11 @@ def plain_pictures(monkeypatch):
 
 @pytest.fixture
 def short_validation(monkeypatch):
-    """Train the task `reach` with a small validation set where a command starts the run."""
+    """Give `reach` short episodes, few validation and few test flights where a command starts the run."""
+    from softarm.schemas import flights
     from softarm.training.run.recipe import RECIPES
 
-    settings = {"run.validation_trials": 12}
+    few = flights.grid()[::20]
+    monkeypatch.setattr(flights, "grid", lambda *_: few)
+    settings = {"run.validation_trials": 12, "task.episode_steps": 20}
     monkeypatch.setitem(RECIPES, "reach", RECIPES["reach"].model_copy(update={"settings": settings}))

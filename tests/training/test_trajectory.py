@@ -138,7 +138,7 @@ def test_a_second_guess_replaces_a_plan_that_misses(small, monkeypatch):
 
 
 def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
-    monkeypatch.setattr(ceiling, "ROUNDS", 12)
+    monkeypatch.setattr(ceiling, "ROUNDS", 6)
     monkeypatch.setattr(ceiling, "POPULATION", 48)
     monkeypatch.setattr(ceiling, "ELITES", 6)
     found = ceiling.search(TARGETS, 0.1, seed=1)
@@ -149,7 +149,7 @@ def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
 @pytest.mark.slow
 def test_a_longer_rail_brings_a_missed_target_into_reach(monkeypatch):
     """(0, 0.75) needs about 0.33 m of rail on each side."""
-    for name, value in {"ROUNDS": 8, "POPULATION": 48, "ELITES": 6}.items():
+    for name, value in {"ROUNDS": 6, "POPULATION": 48, "ELITES": 6}.items():
         monkeypatch.setattr(ceiling, name, value)
     monkeypatch.setattr(ceiling, "LEVELS", 1)
     monkeypatch.setattr(ceiling, "QUANTITIES", {name: ceiling.QUANTITIES[name] for name in ("rail half-length",)})

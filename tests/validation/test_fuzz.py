@@ -9,9 +9,9 @@ from validation.fuzz.parsers import PARSERS, Parser
 from validation.fuzz.trials import try_case
 
 # What takes milliseconds a case gets fewer; the others CASES.
-CASES = 100
-FEW = {"table.mat": 2, "npz.plans": 30, "pt.checkpoint": 8}
-FEW |= {name: 15 for name in PARSERS if name.startswith(("yaml.", "log.", "csv.", "onnx."))}
+CASES = 30
+FEW = {"table.mat": 1, "npz.plans": 10, "pt.checkpoint": 4}
+FEW |= {name: 6 for name in PARSERS if name.startswith(("yaml.", "log.", "csv.", "onnx."))}
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from softarm.evaluation import table
+from softarm.evaluation import table, tests
 from softarm.policies.base import MODELS
 from softarm.schemas import flights
 from tests.cli.invoke import invoke
@@ -71,7 +71,9 @@ def configured(tmp_path):
 
 
 @pytest.mark.slow
-def test_trained_and_configured_policies_are_compared_with_shipped_ones(configured, tmp_path):
+def test_trained_and_configured_policies_are_compared_with_shipped_ones(configured, tmp_path, monkeypatch):
+    few = flights.shelf()[::4]
+    monkeypatch.setitem(tests.TESTS, "shelf", tests.Test("", lambda: few))
     file = tmp_path / "trained.onnx"
     file.symlink_to(MODELS / "shelf.onnx")
     names = (str(file), "my-reach", "pid")

@@ -78,6 +78,7 @@ def test_every_mistake_is_printed_with_its_line(check, text, lines):
         assert printed.startswith(f"{path}{start}")
 
 
+@pytest.mark.usefixtures("trial_here")
 @pytest.mark.parametrize("verb", [["check"], ["run", "--simulated", "--config"], ["twin", "--config"]])
 def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
     path = tmp_path / "arm.yaml"

@@ -13,7 +13,7 @@ from softarm.reality.mechanisms.record import ROBOTS, Truth, record
 
 @pytest.fixture(scope="module")
 def columns():
-    return record(ROBOTS["camera"], Truth({}), "multisine", 6.0, np.random.default_rng(1))
+    return record(ROBOTS["camera"], Truth({}), "multisine", 2.0, np.random.default_rng(1))
 
 
 def described(folder, columns, names, *options):
@@ -129,7 +129,7 @@ FOLLOWER = "right follows left by an equality of the model and is under base"
     ],
 )
 def test_joints_that_follow_and_poses_are_under_base(tmp_path, robot, base, measured, note):
-    columns = record(ROBOTS[robot], Truth({}), "multisine", 4.0, np.random.default_rng(1))
+    columns = record(ROBOTS[robot], Truth({}), "multisine", 1.0, np.random.default_rng(1))
     header, table = ",".join(name.removeprefix("q_") for name in columns), np.stack([*columns.values()], axis=1)
     np.savetxt(tmp_path / "run-1.csv", table, delimiter=",", header=header, comments="")
     out, arguments = tmp_path / "stage.yaml", [str(ROBOTS[robot].model), str(tmp_path / "run-1.csv")]

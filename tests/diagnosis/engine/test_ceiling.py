@@ -145,7 +145,7 @@ def _slow(seed, share=0.98):
 @pytest.fixture
 def few(monkeypatch):
     """Few surrogates: enough where the law is far beyond chance."""
-    monkeypatch.setattr(ceiling, "SURROGATES", 4)
+    monkeypatch.setattr(ceiling, "SURROGATES", 2)
 
 
 def test_slow_noise_that_a_flexible_model_follows_is_no_evidence():

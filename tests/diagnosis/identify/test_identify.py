@@ -30,7 +30,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def result(truth, record):
-    trials = tuple(record(name, truth, seed=i, length_s=8.0) for i, name in enumerate(("both", "rail-chirp"), 1))
+    trials = tuple(record(name, truth, seed=i, length_s=6.0) for i, name in enumerate(("both", "rail-chirp"), 1))
     return identify(Model(), trials, (record("sinusoid", truth, seed=3, length_s=4.0),))
 
 

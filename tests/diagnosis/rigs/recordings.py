@@ -30,11 +30,11 @@ def recording(name, kind, t, channels, stage):
     return Trial(name, kind, Path(name), series, stage=TableStage(*stage))
 
 
-def mechanism(folder, robot, truth):
+def mechanism(folder, robot, truth, seconds=5.0):
     """Record three trials of a robot with its MuJoCo model and its stage.yaml; return the latter."""
     random = np.random.default_rng(3)
     for number, kind in enumerate(MECHANISM_KINDS):
-        write(record(ROBOTS[robot], truth, kind, 5.0, random), folder / f"{kind}-{number}.csv")
+        write(record(ROBOTS[robot], truth, kind, seconds, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
     return folder / "stage.yaml"

@@ -161,7 +161,7 @@ def test_stiffening_of_one_link_agrees_with_an_independent_simulation():
 @pytest.mark.parametrize("beyond", LAWS)
 def test_every_law_of_two_links_agrees_with_an_independent_simulation(beyond):
     size, point = LAWS[beyond]
-    before, after = rms(view(campaign(TWO, {beyond: size}, trials=1, seconds=4.0, size=BIG)), [{}, point])
+    before, after = rms(view(campaign(TWO, {beyond: size}, trials=1, seconds=2.5, size=BIG)), [{}, point])
     assert after < max(0.12 * before, 5e-4)
     assert before > 1e-3
 

@@ -15,7 +15,7 @@ from softarm.diagnosis.rigs.scales import fastest, lateness, repeatability, whit
 from softarm.diagnosis.rigs.tracking import TrackingView, resolving_hz
 from tests.diagnosis.rigs.recordings import recording
 
-STEP_S, FINE = 0.02, 40
+STEP_S, FINE = 0.02, 20
 T = STEP_S * np.arange(800)
 # Effects that look alike between command and reading; backlash and dead band only without a lag.
 ALIKE = {"sensor_bias": "gain", "latency": "dead_time", "deadband": "backlash", "backlash": "deadband"}
@@ -33,7 +33,7 @@ def commands(t=T):
 
 
 def rig(command, truth, step_s=STEP_S):
-    """Simulate the readings of an actuator independently, in steps of a fortieth of a sample."""
+    """Simulate the readings of an actuator independently, in steps of a twentieth of a sample."""
     h = step_s / FINE
     fine = np.repeat(command, FINE)
     late = round((truth.get("delay", 0.0) + truth.get("latency", 0.0)) / h)
@@ -141,7 +141,14 @@ def test_an_acceleration_limit_agrees_with_an_independent_integration():
     assert own < 0.012
 
 
-@pytest.mark.parametrize(("name", "truth", "point"), CASES)
+# Of two effects of one kind the second is left to `make prove`.
+SECOND = ("latency", "deadband", "sensor_bias")
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "point"),
+    [pytest.param(*each, marks=pytest.mark.prove if each[0] in SECOND else ()) for each in CASES],
+)
 def test_the_cause_fits_best_with_its_true_size(name, truth, point):
     found = alone(flown(truth))
     assert next(iter(found)) in {name, ALIKE.get(name)}
@@ -168,7 +175,7 @@ def test_a_rate_limit_acts_from_the_change_of_the_command(lag, late):
     assert np.nanmax(np.abs(gap)) < 1e-4
 
 
-def rubbed(command, lag, loss, fine=200):
+def rubbed(command, lag, loss, fine=100):
     """Simulate a velocity loop with dry friction: lag dv/dt = command - v - loss."""
     h, v, out = STEP_S / fine, 0.0, np.empty(len(command))
     for i, wanted in enumerate(command):

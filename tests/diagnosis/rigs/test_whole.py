@@ -19,10 +19,10 @@ from tests.diagnosis.rigs.recordings import mechanism
 LOAD = 0.6  # share of the last body's mass
 
 
-def by_joint(folder, robot, truth):
+def by_joint(folder, robot, truth, seconds=3.0):
     """Return the trials of each joint of a recorded robot."""
     own = {}
-    for trial in tables.read(mechanism(folder, robot, truth)):
+    for trial in tables.read(mechanism(folder, robot, truth, seconds)):
         own.setdefault(trial.stage.name, []).append(trial)
     return own
 

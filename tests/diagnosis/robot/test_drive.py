@@ -9,7 +9,7 @@ from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.schemas.model import Model
 
 pytestmark = pytest.mark.slow
-MODEL, KINDS = Model(), ("both", "rail-steps", "rail-multisine")
+MODEL, KINDS = Model(), ("both", "rail-steps")
 SERVED = (SERVO, ())
 LAG_S = 0.04
 FURTHER = {
@@ -48,7 +48,7 @@ def test_a_model_with_a_servo_and_a_held_rail_are_unchanged(campaign):
 
 
 def test_a_lag_of_a_servo_is_named_alone_with_its_size_and_the_patch_has_its_law(campaign):
-    found = diagnose(campaign((*FURTHER["lag"], SERVED), KINDS[:2]), MODEL)
+    found = diagnose(campaign((*FURTHER["lag"], SERVED), KINDS), MODEL)
     (effect,) = found.verdict.effects
     assert (found.verdict.verdict, effect.name) == ("named", "rail.lag")
     assert effect.parameters["time"].value == pytest.approx(LAG_S, rel=0.01)

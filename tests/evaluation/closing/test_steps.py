@@ -19,6 +19,7 @@ from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.verdict import Verdict, Where
 from softarm.simulator import model_file
+from softarm.training.record import curve
 from softarm.training.run.retrain import RetrainingConfig, load_weights
 from tests.evaluation.closing import cases
 
@@ -29,12 +30,12 @@ RAIL = cases.findings(CAREFUL, cases.seen())
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
 TINY = RetrainingConfig(
-    frames=1024,
+    frames=256,
     frames_min=0,
     seconds=float("inf"),
-    robots=64,
+    robots=16,
     validate_every=1,
-    validation_trials=12,
+    validation_trials=6,
     critic_iterations=1,
 )
 LATE = Model(effects=Model().effects | {"pressure.dead_time": {"delay": 0.06}})
@@ -46,10 +47,11 @@ NONE = NAMED.model_copy(
 
 @pytest.fixture(autouse=True)
 def two_targets(monkeypatch):
-    """Fly a few draws to two targets, in this process."""
+    """Fly a few draws to two targets, in this process, and draw no learning curve."""
     monkeypatch.setattr(fly, "PART", 3)
     monkeypatch.setattr(fly, "TEST_TARGETS", (EASY, NEVER))
     monkeypatch.setattr(fly, "cores", lambda: 1)
+    monkeypatch.setattr(curve, "write_png", lambda rows, path, *_: path.touch())
 
 
 def close(out, held_out, declared=True, through=lambda closed: None, reported=None, replanned=True, **found):

@@ -13,7 +13,7 @@ from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, r
 HEALTHY = Truth({})
 
 
-def columns(robot, truth=HEALTHY, seconds=1.5, kind="multisine"):
+def columns(robot, truth=HEALTHY, seconds=1.0, kind="multisine"):
     return record(ROBOTS[robot], truth, kind, seconds, np.random.default_rng(0))
 
 
@@ -36,7 +36,7 @@ def test_the_same_seed_gives_the_same_recording(healthy):
 
 
 def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
-    found = columns("camera", seconds=6.0)
+    found = columns("camera", seconds=3.0)
     assert np.std(found["cmd_pan"] - found["q_pan"]) < 0.5 * np.std(found["cmd_pan"])
     assert np.ptp(found["q_track"]) > 0.1
 
@@ -70,7 +70,7 @@ def test_a_load_adds_its_share_of_the_last_body_s_mass():
 
 
 def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "DURATION_S", 2.0)
+    monkeypatch.setattr(cases, "DURATION_S", 1.0)
     draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
     assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
         "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",

@@ -69,8 +69,8 @@ def test_an_excitation_stays_within_reach_and_moves(kind, pace_s):
 
 
 def short(case):
-    """Return a case with two trials of two seconds."""
-    return replace(case, excitations=case.excitations[:2], rig=replace(case.rig, duration_s=(2.0, 2.0)))
+    """Return a case with two trials of one second."""
+    return replace(case, excitations=case.excitations[:2], rig=replace(case.rig, duration_s=(1.0, 1.0)))
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_err
     dt, steps = 1e-4, 12000
     command = np.full((steps, 2), 1.0)
     command[0] = 0.0
-    out = axis(command, [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
+    out = axis(command[:2001], [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
     assert np.diff(out[500:2000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
     hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
     out = axis(
@@ -101,27 +101,21 @@ def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_err
 
 @pytest.mark.slow
 def test_a_chamber_fills_and_vents_with_its_lags_and_no_faster_than_its_orifice():
-    dt, steps = 2e-4, 3500
-    command = np.full((steps, 2), 30.0)
-    command[0] = 10.0
-    lanes = [
-        {"lag_s": 0.3, "lag_down_s": 0.6, "supply_kpa": 80.0},
-        {"lag_s": 0.02, "orifice_1_s": 0.2, "supply_kpa": 300.0},
-    ]
-    out = chamber(command, lanes, np.zeros(2), dt)
+    dt, slow = 2e-4, {"lag_s": 0.3, "lag_down_s": 0.6, "supply_kpa": 80.0}
+    command = np.tile((30.0, 30.0, 10.0), (3001, 1))
+    command[0] = 10.0, 10.0, 30.0
+    lanes = [slow, {"lag_s": 0.02, "orifice_1_s": 0.2, "supply_kpa": 300.0}, slow]
+    out = chamber(command, lanes, np.zeros(3), dt)
     at = round(0.3 / dt)
     assert (out[at, 0] - 10) / 20 == pytest.approx(1 - math.exp(-1), abs=0.03)  # less the spool's
     choked = 0.2 * orifice(np.array([300 + ATMOSPHERE_KPA]), np.array([ATMOSPHERE_KPA]))[0]
     assert np.diff(out[100:800, 1]).mean() / dt == pytest.approx(choked / 1.0, rel=0.01) or out[800, 1] > 29
-    down = np.full((steps, 2), 10.0)
-    down[0] = 30.0
-    back = chamber(down, lanes, np.zeros(2), dt)
-    assert (back[round(0.6 / dt), 0] - 10) / 20 == pytest.approx(math.exp(-1), abs=0.03)
+    assert (out[round(0.6 / dt), 2] - 10) / 20 == pytest.approx(math.exp(-1), abs=0.03)
 
 
 def test_a_cart_reaches_its_terminal_speed():
     controller = Controller(1.0, 1e-6, 1e9, 1e-9)
-    dt, steps = 1e-3, 12000
+    dt, steps = 1e-3, 6000
     lanes = [
         {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0},
         {"mass_kg": 2.0, "slope_rad": 0.1, "drag_n_s2_m2": 4.0},
@@ -183,7 +177,7 @@ def test_a_small_pendulum_decays_as_the_closed_forms_say():
     link = {"mass_kg": 1.0, "centre_m": 0.5, "inertia_kg_m2": 0.05}
     inertia, moment = 0.05 + 0.25, 9.81 * 0.5
     w = math.sqrt(moment / inertia)
-    dt, steps = 2e-3, 4000
+    dt, steps = 2e-3, 3000
     lanes = [link | {"viscous_nm_s": 0.06}, link | {"friction_nm": 0.01}, link]
     out = swing(np.full((3, 1), 0.05), lanes, np.zeros(3), dt, steps, 3)[:, :, 0]
     t = dt * np.arange(steps)
@@ -218,8 +212,8 @@ def test_three_links_keep_their_energy_and_agree_with_an_integrator_of_high_orde
     def flow(t, y):
         return np.concatenate((y[3:], chain.accelerations(y[None, :3], y[None, 3:], np.zeros((1, 3)), ONE)[0]))
 
-    exact = solve_ivp(flow, (0, 2), (0.9, 0.3, -0.4, 0, 0, 0), rtol=1e-10, atol=1e-12).y[:3, -1]
-    for i in range(2000):
+    exact = solve_ivp(flow, (0, 1), (0.9, 0.3, -0.4, 0, 0, 0), rtol=1e-10, atol=1e-12).y[:3, -1]
+    for i in range(1000):
         chain.step(i * 1e-3, np.zeros((1, 3)), (ONE, ONE, ONE))
     assert energy_j(lane, *chain.state[:, 0]) == pytest.approx(before, rel=1e-6)
     assert chain.state[0, 0] == pytest.approx(exact, abs=1e-5)

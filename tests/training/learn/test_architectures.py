@@ -70,7 +70,7 @@ def test_observation_noise_affects_the_learner_alone(pool):
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures")
 def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path, pool):
-    task = replace(TASKS["reach"], muscle=False)
+    task = replace(TASKS["reach"], muscle=False, episode_steps=20)
     environment = Environment(task, 8, 0)
     environment.reset()
     for _ in range(10):

@@ -28,9 +28,9 @@ def dataset(tmp_path_factory) -> Path:
     import demonstrations
 
     sys.path.pop(0)
-    reached = demonstrations.record("reach-wide", 24, folder / "log.mcap")
+    reached = demonstrations.record("reach-wide", 12, folder / "log.mcap")
     assert invoke("logs", "export", "--to", "lerobot", "--out", folder / "dataset", folder / "log.mcap").exit_code == 0
-    assert sum(episode.reached for episode in lerobot.read(folder / "dataset")) == reached >= 16
+    assert sum(episode.reached for episode in lerobot.read(folder / "dataset")) == reached >= 8
     return folder / "dataset"
 
 
@@ -39,7 +39,7 @@ def test_a_cloned_policy_flies_and_its_file_has_dataset_and_ranges(dataset, tmp_
     ran = invoke("train", "--from", dataset, "--out", tmp_path / "run")
     assert ran.exit_code == 0, ran.output
     kept = [episode for episode in lerobot.read(dataset) if episode.reached]
-    assert f"{dataset}: {len(kept)} episodes; {24 - len(kept)} that missed their target are left out" in ran.output
+    assert f"{dataset}: {len(kept)} episodes; {12 - len(kept)} that missed their target are left out" in ran.output
     assert "action error on the held-out episodes: " in ran.output
     policy = OnnxPolicy(str(tmp_path / "run" / "reach.onnx"))
     training = policy.metadata.training
@@ -47,7 +47,7 @@ def test_a_cloned_policy_flies_and_its_file_has_dataset_and_ranges(dataset, tmp_
     targets = np.array([episode.state[0, 8:] for episode in kept])
     assert policy.metadata.trained.target_z_m == (targets[:, 1].min(), targets[:, 1].max())
     flight = Lockstep(Config(), policy).fly(Goal("reach", -0.2, 0.6), 0.1)
-    assert flight.status.closest_m < 0.2
+    assert flight.status.closest_m < 0.05  # 0.07 without learning
 
 
 def test_an_unusable_dataset_is_refused_with_its_reason(dataset, tmp_path):

@@ -27,9 +27,9 @@ from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 from tests.cli.invoke import invoke
 
-TASK = TASKS["reach"]
-SMALL = TrainingConfig(seed=3, robots=64, validate_every=2, validation_trials=24)
-FRAMES = 64 * 16
+TASK = replace(TASKS["reach"], episode_steps=20)
+SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=6)
+FRAMES = 16 * 16
 
 
 def session(out: Path, pool, resume: bool = False, config: TrainingConfig = SMALL) -> Session:
@@ -131,13 +131,13 @@ def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):
 def test_the_policy_file_describes_itself_and_reproduces_its_golden_run(finished):
     described = OnnxPolicy(str(finished.out / "reach.onnx")).metadata  # loading replays the golden run
     assert described.trained.target_z_m == TASK.target_z_m
-    assert (described.seed, described.training["run.robots"]) == (3, 64)
+    assert (described.seed, described.training["run.robots"]) == (3, 16)
     assert described.validation_success == finished.best
     assert len(described.golden.inputs) == 100
 
 
 @pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
-def test_onnx_equals_torch_over_a_full_episode_with_resets(order, pool):
+def test_onnx_equals_torch_over_full_episodes_with_resets(order, pool):
     network, robots = lively_network(order), 16
     policy = onnxruntime.InferenceSession(onnx_model(network).SerializeToString())
     environment = Environment(TASK, robots, 1)
@@ -146,7 +146,7 @@ def test_onnx_equals_torch_over_a_full_episode_with_resets(order, pool):
     state, keep = network.initial_state(robots), torch.ones(robots)
     h, c = (part.numpy()[None] for part in state)
     resets, spread = 0, []
-    for _ in range(100):
+    for _ in range(40):
         mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool)
         kept = keep.numpy()[None, :, None]
         feed = {"observation": observation, "h_in": h * kept, "c_in": c * kept}
@@ -157,7 +157,7 @@ def test_onnx_equals_torch_over_a_full_episode_with_resets(order, pool):
         over = step.terminated | step.truncated
         resets += int(over.sum())
         keep, observation = torch.from_numpy(1.0 - over.astype(np.float32)), step.observation
-    assert resets >= robots // 2
+    assert resets >= robots
     assert np.mean(spread) > 0.05  # actions that all look alike would prove nothing
 
 
@@ -171,13 +171,13 @@ def test_the_graph_needs_no_operator_set_above_17():
 
 def test_other_settings_cannot_resume_a_run(finished, pool):
     with pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
-        session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
+        session(finished.out, pool, resume=True, config=replace(SMALL, seed=4))
 
 
 @pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_run_ends_after_validations_without_improvement(tmp_path, pool):
-    config = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
+    config = replace(SMALL, validate_every=1, patience=2)
     run = session(tmp_path, pool, config=config)
     run.run(frames=100 * 256, minutes=None)
     validated = [row.validation for row in run.curve]
@@ -220,7 +220,7 @@ def test_the_validation_set_contains_no_test_target():
 @pytest.mark.slow
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_the_commands_train_and_export(tmp_path, monkeypatch):
-    monkeypatch.setitem(recipe.RECIPES, "reach", recipe.Recipe(frames=256))
+    monkeypatch.setitem(recipe.RECIPES, "reach", recipe.RECIPES["reach"].model_copy(update={"frames": 256}))
     out = tmp_path / "run"
     arguments = ["train", "reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
     result = invoke(*arguments)

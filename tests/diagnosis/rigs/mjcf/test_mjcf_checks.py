@@ -22,7 +22,7 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     found = {}
     for name in ("camera", "leg"):
-        write(record(ROBOTS[name], Truth({}), "multisine", 5.0, np.random.default_rng(1)), folder / f"{name}.csv")
+        write(record(ROBOTS[name], Truth({}), "multisine", 3.0, np.random.default_rng(1)), folder / f"{name}.csv")
         found[name] = (folder / f"{name}.csv").read_text()
     return found
 

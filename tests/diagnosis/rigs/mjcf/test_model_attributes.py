@@ -61,19 +61,19 @@ def elbows(folder, text):
     return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "elbow"]
 
 
-def record(text, file):
-    """Simulate five seconds at 10 kHz and write them at 100 Hz, with an encoder of 0.1 mrad."""
+def record(text, file, seconds=3):
+    """Simulate some seconds at 5 kHz and write them at 100 Hz, with an encoder of 0.1 mrad."""
     model = mujoco.MjModel.from_xml_string(text)
-    model.opt.timestep = 1e-4
+    model.opt.timestep = 2e-4
     data, random, rows = mujoco.MjData(model), np.random.default_rng(1), ["t,shoulder_c,elbow_c,shoulder,elbow"]
-    held = np.repeat(random.uniform(-0.6, 0.6, (10, 2)), 50, axis=0)
-    sines = 0.4 * np.sin(2 * np.pi * np.outer(np.arange(500) / 100, [0.9, 1.3]))
+    held = np.repeat(random.uniform(-0.6, 0.6, (2 * seconds, 2)), 50, axis=0)
+    sines = 0.4 * np.sin(2 * np.pi * np.outer(np.arange(100 * seconds) / 100, [0.9, 1.3]))
     data.act[:] = (held + sines)[0, 1]  # of a first-order actuator at rest
     for k, command in enumerate(held + sines):
         data.ctrl[:] = command
         values = [*command, *np.round(data.qpos, 4)]
         rows.append(",".join(f"{value:.6g}" for value in (k / 100, *values)))
-        mujoco.mj_step(model, data, nstep=100)
+        mujoco.mj_step(model, data, nstep=50)
     file.write_text("\n".join(rows))
 
 
@@ -96,7 +96,7 @@ def test_a_servo_with_a_fiftieth_of_the_models_gain_is_found(tmp_path):
     """Each of its differences alone looks like another effect: a lag, a rate limit, a spring."""
     loop, passive = 'kp="30" kv="1.2" forcerange="-8 8"', 'damping="0.05" armature="0.01" frictionloss="0.05"'
     weak = 'kp="12" kv="0.05" forcerange="-3 3"', 'damping="0.4" armature="0.04" frictionloss="0.2"'
-    record(changed(loop, weak[0], passive, weak[1]), tmp_path / "motion.csv")
+    record(changed(loop, weak[0], passive, weak[1]), tmp_path / "motion.csv", seconds=5)
     found = examine(elbows(tmp_path, changed(loop, 'kp="600" kv="2.7" forcerange="-8 8"')))
     sizes = {effect.name: effect.parameters for effect in found.named}
     assert sizes["elbow.gain"]["scale"].value == pytest.approx(-0.98, abs=0.005)
@@ -109,7 +109,7 @@ def test_a_servo_with_a_fiftieth_of_the_models_gain_is_found(tmp_path):
 def test_a_gap_without_a_steady_cause_has_a_best_fit(tmp_path):
     """The friction of one recording is nearly twice that of the other."""
     for k, friction in enumerate((0.2, 0.35)):
-        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv")
+        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
     found = examine(elbows(tmp_path, ROBOT))
     assert (found.decision.kind, found.named) == ("unknown", ())
     assert found.best_fit.after.value < 0.7 * found.answer.before

@@ -11,7 +11,7 @@ from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, travelled
 from tests.diagnosis.verdicts import effect, verdict, with_parameters
 
-STEPS = 1500
+STEPS = 900
 COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(STEPS)))
 
 
