@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, FittedParameter, parameters_of, point_of
 from softarm.diagnosis.engine.ceiling import beyond_chance, explainable, hum
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
-from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.fits import EDGE_COST, Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup, interleaved
 from softarm.diagnosis.engine.search import Choice, Search
 from softarm.diagnosis.engine.slow import slow_changes
@@ -224,15 +224,18 @@ class Examination:
         """Return the fit of the named effects alone: the model of figures, calibration and patch.
 
         If one of them then has the model's own value or is at a bound, all keep the sizes that they have beside the
-        dropped effects.
+        dropped effects. Of the sizes that fit alike next to other nuisances, a rig's are those that need least of them.
         """
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
         kept = [i for i, name in enumerate(chosen.names) if name in names]
         if not kept:
             return self.choice.null_model
-        if len(kept) == len(chosen.effects):
+        problem = self.verdict_problem
+        if self.thresholds.approximate:
+            problem = replace(problem, edge_cost=EDGE_COST)
+        elif len(kept) == len(chosen.effects):
             return chosen
-        alone = self.verdict_problem.fit([chosen.only(kept)], self.thresholds.search.rounds)[0]
+        alone = problem.fit([chosen.only(kept)], self.thresholds.search.rounds)[0]
         return self.verdict_problem.part(chosen, kept) if self._open(alone) or alone.at_bound else alone
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:

@@ -36,6 +36,9 @@ REACH = 2.0  # largest step of a round, in sizes of a parameter
 # Cost of a usual change, in losses. It only decides directions that the data leave open (torque, weight and inertia
 # scale alike): the smallest change is taken, so that each effect can be left out on its own.
 PRIOR = 0.01
+# The same for a nuisance at the edge of its box, which counts as three standard deviations. It only chooses among sizes
+# of an effect that fit alike next to different nuisances.
+EDGE_COST = 9.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +145,7 @@ class FitProblem:
     fold: NDArray[np.int64]  # [B]
     simulated: bool = False  # simulate held-out losses instead of using the last linearisation
     nudge: float = NUDGE  # finite difference, in sizes of a parameter
+    edge_cost: float = 0.0  # cost of a nuisance at the edge of its box, in losses
 
     def fit(self, sets: Sequence[tuple[EffectSet, Coordinates]], rounds: int = ROUNDS) -> list[Fit]:
         """Fit every set from its start, all sets together.
@@ -187,7 +191,9 @@ class FitProblem:
     def _losses(self, effects: Sequence[EffectSet], state: Sequence[Array]) -> list[float]:
         points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
         moments = self._moments(points)
-        gg = np.sum([residual.gg for residual in self.whitened], axis=0)
+        gg = np.sum([residual.gg for residual in self.whitened], axis=0) + self.edge_cost * np.eye(
+            len(self.nuisance_low)
+        )
         result = []
         for i, each in enumerate(effects):
             rr, gr = sum(m[i].rr for m in moments), np.sum([m[i].gr for m in moments], axis=0)
@@ -231,8 +237,15 @@ class FitProblem:
     ) -> tuple[Array, Array]:
         """Return normal matrix and slope of effects and nuisances, with the prior."""
         normal, slope = self._normal(len(x), jacobians, bases)
-        _add_prior(effects, x, normal, slope)
+        self._add_priors(effects, x, normal, slope)
         return normal, slope
+
+    def _add_priors(self, effects: EffectSet, x: Array, normal: Array, slope: Array) -> None:
+        held, pull = _prior(effects, x)
+        normal[range(len(normal)), range(len(normal))] += np.concatenate(
+            (held, np.full(len(normal) - len(x), self.edge_cost))
+        )
+        slope[: len(x)] += pull
 
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
         q = len(self.nuisance_low)
@@ -261,7 +274,7 @@ class FitProblem:
         normal, slope, squares = self._by_block(len(x), jacobians, bases)
         low, high = self._box(effects, x)
         total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
-        _add_prior(effects, x, total_normal, total_slope)
+        self._add_priors(effects, x, total_normal, total_slope)
         best = box.solve(total_normal, -total_slope, low, high)
         lost, folds = np.empty(len(squares)), []
         for fold in np.unique(self.fold):
@@ -283,7 +296,7 @@ class FitProblem:
             effects,
             split(effects, x),
             nuisance,
-            loss - _cost(effects, x),  # without the prior
+            loss - _cost(effects, x) - self.edge_cost * float(nuisance @ nuisance),  # without the priors
             lost,
             np.array(folds),
             np.array(halves),
@@ -407,12 +420,6 @@ def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:
     parameters = parameters_of(effects)
     held = np.array([PRIOR / d.size**2 for d in parameters])
     return held, held * (x - np.array([d.nominal for d in parameters]))
-
-
-def _add_prior(effects: EffectSet, x: Array, normal: Array, slope: Array) -> None:
-    held, pull = _prior(effects, x)
-    normal[range(len(x)), range(len(x))] += held
-    slope[: len(x)] += pull
 
 
 def _cost(effects: EffectSet, x: Array) -> float:

@@ -8,14 +8,14 @@ import pytest
 
 from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.equal_sets import Prediction
-from softarm.diagnosis.engine.fits import COARSE, NUDGE, nudged
+from softarm.diagnosis.engine.fits import COARSE, EDGE_COST, NUDGE, nudged
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")
-SCALE, TIME, BIAS = "stage.gain.scale", "stage.lag.time", "stage.zero.bias"
+SCALE, TIME, BIAS, LOAD = "stage.gain.scale", "stage.lag.time", "stage.zero.bias", "stage.load.share"
 TRUE = {SCALE: 0.3, TIME: 0.15, BIAS: 0.2}
 
 
@@ -61,6 +61,15 @@ def _fit(problem, *effects, start=0, rounds=8):
 def both():
     """Gain and lag fitted together, the zero a nuisance."""
     return _fit(_problem(_View()), GAIN, LAG)
+
+
+class _Loaded(_View):
+    """The gauge with a load that changes its reading as the gain does."""
+
+    acts = _View.acts | {LOAD}
+
+    def _predict(self, point):
+        return super()._predict(point | {SCALE: point.get(SCALE, 0.0) + point.get(LOAD, 0.0)})
 
 
 class _Kinked(_View):
@@ -165,6 +174,17 @@ def test_friction_that_slips_at_once_is_at_no_bound():
 def test_a_nuisance_stays_in_its_box():
     fit = _fit(_problem(_View(truth={BIAS: 0.9})))
     assert fit.nuisance[0] * ZERO.edge == pytest.approx(ZERO.high)
+
+
+@pytest.mark.parametrize("start", [0.15, 0.5])
+def test_of_sizes_that_fit_alike_the_one_that_needs_least_of_the_nuisances_is_taken(start):
+    problem = _problem(_Loaded(truth={SCALE: 0.3}), (Nuisance(LOAD, 0.0, -0.2, 0.2),))
+    gain = candidate(SCALE, -0.5, 0.5, 0.1, start)
+    assert abs(_fit(problem, gain).point[SCALE] - 0.3) > 0.04
+    fit = _fit(dataclasses.replace(problem, edge_cost=EDGE_COST), gain)
+    assert fit.point[SCALE] == pytest.approx(0.3, abs=0.01)
+    assert fit.nuisance == pytest.approx([0.0], abs=0.05)
+    assert fit.loss == pytest.approx(_fit(problem, gain).loss, rel=1e-3)
 
 
 def test_a_parameter_that_an_effect_fits_is_no_nuisance():
