@@ -202,6 +202,8 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
             explained = least(path, value, _likely(setup().plain(), candidates(view)))
             losses.append(explained if explained < MOST * alone else alone)
         view.assume(path, other if losses[1] < MOST * losses[0] else usual)
+        if view.nominal(path) != usual:
+            view.measure_floor()
     return setup()
 
 

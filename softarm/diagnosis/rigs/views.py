@@ -184,6 +184,9 @@ class RigView:
         """Set 'effect.parameter' of the nominal model."""
         self._known[path] = value
 
+    def measure_floor(self) -> None:
+        """Measure the noise floor again, next to another law of the nominal model."""
+
     @property
     def assumed(self) -> Mapping[str, float]:
         """Return the values that `assume` may have set: 'effect.parameter' -> value."""

@@ -40,8 +40,13 @@ def smooth(around: Around) -> Around:
     return {name: (x, v, np.convolve(a, third, "same")) for name, (x, v, a) in around.items()}
 
 
-def noisy(around: Around, step_s: float, random: np.random.Generator) -> Around:
-    """Return the motion with once more the noise of its positions."""
+def noisy(around: Sequence[Around], steps_s: Sequence[float]) -> list[Around]:
+    """Return the motion of each trial with once more the noise of its positions; steps_s: spacing of the samples, s."""
+    random = np.random.default_rng(0)
+    return [_noisy(each, step_s, random) for each, step_s in zip(around, steps_s, strict=True)]
+
+
+def _noisy(around: Around, step_s: float, random: np.random.Generator) -> Around:
     found = {}
     for name, (position, speed, acceleration) in around.items():
         noise = white_noise([position]) * random.normal(size=len(position))

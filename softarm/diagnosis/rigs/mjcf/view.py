@@ -122,11 +122,12 @@ class JointView(RigView):
         t_s = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
-        self.floor = np.array([max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)])
+        own_floor = max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)
+        self.floor = self._own_floor = np.array([own_floor])
         self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
-        self.floor = np.hypot(self.floor, self._noise_of_others())
+        self.measure_floor()
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
 
@@ -138,6 +139,16 @@ class JointView(RigView):
             friction = self._frictions[bool(value)]
             self.effects = tuple(friction if effect.name == friction.name else effect for effect in self.effects)
 
+    def measure_floor(self) -> None:
+        """Measure the noise floor, which noise of the other joints' readings raises if it is not small.
+
+        A light joint, such as a wrist, follows the accelerations of the joints that carry it. Friction that creeps
+        yields to their peaks, which do not average out then.
+        """
+        own, noisy = self._own_floor, others.noisy(self._around, [m.grid.step_s for m in self._motions])
+        noise = rms(self._moved(noisy)) if any(noisy) else 0.0
+        self.floor = np.hypot(own, noise if noise > FELT_NOISE * own[0] else 0.0)
+
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
         return self._end if effect == "payload" else "base"
@@ -148,16 +159,6 @@ class JointView(RigView):
         falls = [-(terms.base[laws.BY_POSITION] + held) / terms.base[laws.INERTIA] for terms in self._terms]
         fastest = float(np.quantile(np.concatenate(falls), 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
-
-    def _noise_of_others(self) -> float:
-        """Return the RMS of the gap that noise of the other joints' readings makes, rad or m; 0 if it is small.
-
-        A light joint, such as a wrist, follows the accelerations of the joints that carry it.
-        """
-        random = np.random.default_rng(0)
-        noisy = [others.noisy(each, m.grid.step_s, random) for each, m in zip(self._around, self._motions, strict=True)]
-        noise = rms(self._moved(noisy)) if any(noisy) else 0.0
-        return noise if noise > FELT_NOISE * self.floor[0] else 0.0
 
     def _courses_with(self, around: Sequence[others.Around]) -> list[Course]:
         """Return the motion of the whole model in each trial with a motion of the other joints."""

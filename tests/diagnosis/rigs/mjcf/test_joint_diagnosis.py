@@ -347,7 +347,7 @@ HANGING = """<mujoco>
     <joint name="upper" axis="0 1 0" damping="0.5"/>
     <inertial pos="0 0 -0.2" mass="2" diaginertia="0.03 0.03 0.01"/>
     <body pos="0 0 -0.4">
-      <joint name="hand" axis="0 1 0" damping="0.002"/>
+      <joint name="hand" axis="0 1 0" damping="0.002" frictionloss="{dry}"/>
       <inertial pos="0 0 -0.05" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
     </body>
   </body></worldbody>
@@ -355,10 +355,11 @@ HANGING = """<mujoco>
 </mujoco>"""
 
 
-def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it(tmp_path):
-    """The hand's own encoder is fine, but its load depends on the coarse one of the upper arm."""
-    (tmp_path / "arm.xml").write_text(HANGING)
-    model, random = mujoco.MjModel.from_xml_string(HANGING), np.random.default_rng(3)
+def hand(folder, dry):
+    """Return the trials of a hand with a fine encoder, whose load depends on the coarse one of the upper arm."""
+    text = HANGING.format(dry=dry)
+    (folder / "arm.xml").write_text(text)
+    model, random = mujoco.MjModel.from_xml_string(text), np.random.default_rng(3)
     for number in range(2):
         data, rows = mujoco.MjData(model), []
         for k in range(1500):
@@ -366,18 +367,31 @@ def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it
             data.ctrl[0] = 0.3 * np.sin(3 * t + number) + 0.2 * np.sin(4.7 * t)
             rows.append((t, data.ctrl[0], data.qpos[0] + 5e-4 * random.normal(), np.round(data.qpos[1], 5)))
             mujoco.mj_step(model, data, nstep=10)
-        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
+        np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
     columns = "upper: {source: upper, unit: rad}, hand: {source: hand, unit: rad}"
-    (tmp_path / "stage.yaml").write_text(
+    (folder / "stage.yaml").write_text(
         "kind: mujoco\nchannels:\n"
         f"  measured: {{time: {{source: t, unit: s}}, columns: {{{columns}}}}}\n"
         "  command: {time: {source: t, unit: s}, columns: {servo: {source: servo, unit: rad}}}\n"
         "model: {mjcf: arm.xml}\ntrials: [{files: run-*.csv}]\n"
     )
-    view, _ = view_of([trial for trial in tables.read(tmp_path / "stage.yaml") if trial.stage.name == "hand"])
+    return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "hand"]
+
+
+def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it(tmp_path):
+    view, _ = view_of(hand(tmp_path, dry=0.0))
     left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
     assert left > 5e-5
     assert 0.7 * left < view.floor[0] < 1.5 * left
+
+
+def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
+    """Friction that holds passes other noise on than friction that yields to each peak of the load."""
+    view, used = view_of(hand(tmp_path, dry=0.1))
+    settled(view, [trial.kind for trial in used.trials], used.origins)
+    assert view.nominal("coulomb_friction.creep")
+    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
+    assert 0.7 * left < view.floor[0] < 1.6 * left
 
 
 MOTOR = """<mujoco>
