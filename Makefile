@@ -81,7 +81,7 @@ SOAK_HOURS ?= 0.3
 LOCKSTEP_DAYS ?= 0.5
 RESULTS ?= build/prove
 
-prove_tests = $(BIN)/pytest -m 'prove and not realtime' -n 2 --dist loadscope --no-loadscope-reorder
+prove_tests = $(BIN)/pytest -m 'prove and not realtime' --timeout 900 -n 2 --dist loadscope --no-loadscope-reorder
 prove_realtime = $(BIN)/pytest -m 'prove and realtime'
 prove_adversary = $(BIN)/python -m validation.adversary --ticks $(ADVERSARY_TICKS) --json $(RESULTS)/adversary.json
 prove_adversary-tick = $(BIN)/python -m validation.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick \

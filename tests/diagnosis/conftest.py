@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sklearn  # noqa: F401  # what is loaded later is not limited
-from threadpoolctl import threadpool_limits
 
 from softarm.diagnosis.data.trials import Series, Trial
 from softarm.schemas.excitation import EXCITATIONS
@@ -19,13 +17,6 @@ from softarm.simulator.simulator import Simulator
 
 MOCAP_HZ = 120
 MOCAP_NOISE_M, ANGLE_NOISE_RAD, PRESSURE_NOISE_KPA = 0.2e-3, 2e-3, 0.05
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_thread():
-    """Limit BLAS to one thread, as `softarm.diagnosis.diagnose` does; more threads take minutes."""
-    with threadpool_limits(1):
-        yield
 
 
 def _record(
