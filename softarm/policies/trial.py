@@ -21,7 +21,7 @@ from softarm.schemas.policy import Observation, places
 
 TRIAL_S = 90.0  # to load and step once; a plug-in may compile for half a minute
 MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
-# The kernel kills the process if the daemon is gone (prctl(2), PR_SET_PDEATHSIG is 1), even in a loop without Python.
+# The kernel kills the process with the thread that started it and waits for it (prctl(2), PR_SET_PDEATHSIG is 1).
 # The daemon's real-time priority is dropped before any other import.
 _PROGRAM = """
 import ctypes

@@ -122,11 +122,10 @@ class JointView(RigView):
         t_s = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
-        own_floor = max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12)
-        self.floor = self._own_floor = np.array([own_floor])
+        self._own_floor = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
         self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
-        self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, float(self.floor[0]))
+        self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
         self.measure_floor()
         self._unsure = self._without_unsure()
         self._apart = self._zeros([t.recording or t.name for t in trials])
@@ -147,7 +146,7 @@ class JointView(RigView):
         """
         own, noisy = self._own_floor, others.noisy(self._around, [m.grid.step_s for m in self._motions])
         noise = rms(self._moved(noisy)) if any(noisy) else 0.0
-        self.floor = np.hypot(own, noise if noise > FELT_NOISE * own[0] else 0.0)
+        self.floor = np.array([np.hypot(own, noise if noise > FELT_NOISE * own else 0.0)])
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
