@@ -1,0 +1,77 @@
+"""Signals by which the description of a joint is checked, smoothed against the noise of accelerations."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.checks import Compared
+from softarm.diagnosis.rigs.mjcf.mechanism import Joint
+from softarm.diagnosis.rigs.mjcf.torques import torque
+from softarm.diagnosis.rigs.motion import Motion
+
+# Share of a command's power at frequencies that the smoothing keeps, and its width at most, in lengths of a recording.
+KEPT, WIDEST = 0.9, 0.025
+
+
+def compared(
+    joint: Joint,
+    motions: Sequence[Motion],
+    sent: Sequence[Array],
+    free: Sequence[NDArray[np.bool_]],
+    terms: Callable[[Sequence[Motion]], Iterable[Array]],
+) -> Compared:
+    """Return command and motion of a joint in all recordings, smoothed alike, at samples without a contact.
+
+    The double difference of an encoder's noise is larger than most accelerations, but lies at higher frequencies than
+    the command. A weighted mean of both keeps their ratio.
+
+    Args:
+        joint: joint of the model, with the actuator that drives it.
+        motions: motion of each recording.
+        sent: its command, [T of the recording].
+        free: samples without a contact or a limit, [T of the recording].
+        terms: returns the rigid-body terms of each recording along a motion of the joint, [ROWS, T].
+    """
+    assert joint.actuator is not None
+    factor = 1.0 if joint.actuator.kp > 0 else joint.actuator.scale
+    widths = [_width(s, m.grid.step_s) for s, m in zip(sent, motions, strict=True)]
+
+    def smooth(signals: Iterable[Array]) -> Array:
+        recordings = zip(signals, free, widths, strict=True)
+        return np.concatenate([_smooth(values, used, width)[used] for values, used, width in recordings])
+
+    def needed(along: Sequence[Motion]) -> Array:
+        return smooth(_needed(joint, each, m) for each, m in zip(terms(along), along, strict=True))
+
+    return Compared(
+        seen=smooth(m.position for m in motions),
+        command=smooth(factor * s for s in sent),
+        needed=needed(motions),
+        friction=np.stack((smooth(np.sign(m.speed) for m in motions), smooth(m.speed for m in motions)), axis=1),
+        mirrored=lambda: needed([m.mirrored() for m in motions]),
+    )
+
+
+def _needed(joint: Joint, terms: Array, motion: Motion) -> Array:
+    friction = joint.viscous * motion.speed + joint.friction * np.sign(motion.speed)
+    return torque(terms, motion) + friction
+
+
+def _width(command: Array, step_s: float) -> float:
+    """Return the standard deviation of the Gaussian that keeps most of a command, in samples; 0 for a constant one."""
+    power = np.cumsum(np.abs(np.fft.rfft(command - np.mean(command))) ** 2)
+    if not power[-1] > 0:
+        return 0.0
+    fastest_hz = np.fft.rfftfreq(len(command), step_s)[max(int(np.searchsorted(power, KEPT * power[-1])), 1)]
+    return min(float(1 / (2 * np.pi * fastest_hz * step_s)), WIDEST * len(command))
+
+
+def _smooth(values: Array, used: NDArray[np.bool_], width: float) -> Array:
+    """Return the weighted mean of the used values around each sample, [T]."""
+    if not width > 0:
+        return values
+    total, weight = (gaussian_filter1d(x, width, mode="constant") for x in (np.where(used, values, 0.0), 1.0 * used))
+    return np.asarray(total / np.maximum(weight, 1e-300))
