@@ -1,7 +1,7 @@
 """Measured motion of one axis or joint, smoothed, and its windows, whose starts a view fits."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,6 +39,11 @@ class Motion:
     acceleration: Array  # [T]
     noise: float
     spread: Array  # [2] uncertainty of position and speed at the start of a window
+
+    def mirrored(self) -> "Motion":
+        """Return the motion with readings of the opposite sign."""
+        opposite = {name: -getattr(self, name) for name in ("seen", "position", "speed", "acceleration")}
+        return replace(self, **opposite)
 
 
 def motion(g: Grid, column: str, step: float, limit: float, *, speed_alone: bool = False) -> Motion:

@@ -1,7 +1,8 @@
 """Checks of a joint's recordings against its MuJoCo model before a fit: units, signs, gears and zeros."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +13,15 @@ from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
 DEGREES, ALIKE = 180 / math.pi, 0.2
 # Share of a joint's range by which readings may exceed it.
 BEYOND = 0.25
-# Correlations of two signals that certainly go together, are the same, and do not go together. A servo that friction
-# slows shows 0.77 between its command and its torque. Then, the ratio of two torques that no effect explains.
-TOGETHER, SAME, APART, FAR = 0.6, 0.85, 0.3, 3.0
+# Correlations of two signals that certainly go together, and are the same. A servo that friction slows shows 0.77
+# between its command and its torque.
+TOGETHER, SAME = 0.6, 0.85
+# Ratios of the needed to the given torque that no effect explains. A payload on a light wrist makes the second large.
+FAR, FAR_LESS = 3.0, 1 / 50
+# Share of the unexplained square that another description may leave at most, and correlations that count as equal.
+LEFT, AS_WELL = 0.25, 0.05
+# Share of a torque's variation that the motion explains, at least, without a warning.
+ALIKE_LEAST = 0.5
 # Ratio of squared errors without and with a factor of the torque, up to which friction explains it as well.
 RUBBING = 2.0
 # Share of a torque's square that is no friction, at least, to judge its size.
@@ -23,32 +30,36 @@ OWN = 0.05
 STUCK = 0.02
 
 
-def mistakes(
-    joint: Joint, where: str, seen: Array, speed: Array, command: Array | None, needed: Array
-) -> Iterator[str]:
-    """Yield what is certainly wrong in the description of a joint, each with its remedy.
+class Compared(NamedTuple):
+    """Signals of a joint whose likeness is checked, [T of all recordings] each."""
+
+    seen: Array  # readings, rad or m
+    command: Array  # joint torque, or position of a position loop, that the actuator was sent
+    needed: Array  # torque that the motion needs by the model
+    friction: Array  # [T, 2] sign of the speed, and speed
+    mirrored: Callable[[], Array]  # torque that the motion needs if the readings have the opposite sign
+
+
+def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
+    """Yield what is certainly wrong in the description of a joint's command, each with its remedy.
 
     Args:
         joint: joint of the model, with the actuator that drives it.
         where: file and channel, for messages.
-        seen: readings, rad or m, [T].
-        speed: their speed, [T].
-        command: joint torque, or position of a position loop, that the actuator was sent, [T]; None without one.
-        needed: torque that the measured motion needs by the model, [T].
+        signals: command and motion of the joint.
     """
-    unit = "rad" if joint.turns else "m"
-    yield from _range(joint, where, seen, unit)
-    if command is None or np.ptp(command) <= 0 or np.ptp(seen) <= 0:
+    seen, command, needed, friction = signals[:4]
+    if np.ptp(command) <= 0 or np.ptp(seen) <= 0:
         return
     follows = joint.actuator is not None and joint.actuator.kp > 0
     answer, other = (seen, needed) if follows else (needed, seen)
-    together = float(np.corrcoef(command, answer)[0, 1])
-    if together < APART and np.ptp(other) > 0 and float(np.corrcoef(command, other)[0, 1]) > SAME:
+    together, resembles = _correlation(command, answer), _correlation(command, other)
+    mirrored = -together if follows or together > SAME else _correlation(command, signals.mirrored())
+    opposite = max(-together, mirrored)
+    if _is_far_better(resembles, together) and resembles > opposite:
         yield f"{where}: {_other_kind(joint, follows)}"
-        return
-    name = "moves against its command" if follows else "needs the opposite of the torque that it was given"
-    if together < -TOGETHER:
-        yield f"{where}: {joint.name} {name}; one of the two has the opposite sign: write `scale: -1` for it"
+    elif _is_far_better(opposite, together) or _is_turned(joint, together, signals):
+        yield f"{where}: {_opposite(joint, follows, together, mirrored)}"
     elif follows and joint.turns:
         ratio = float(np.std(seen) / np.std(command))
         for of, times in (("measured", ratio), ("command", 1 / ratio)):
@@ -56,17 +67,64 @@ def mistakes(
                 yield f"{where}: {joint.name} has a {of} range {times:.3g} times as wide; write `unit: deg` there"
     elif not follows and together > TOGETHER:
         small = np.abs(command) <= np.median(np.abs(command))  # a torque limit leaves these alone
-        times, near = (_times(*(x[part] for x in (command, answer, speed))) for part in (slice(None), small))
-        if not 1 / FAR < times < FAR and not 1 / FAR < near < FAR:
+        times, near = (_times(*(x[part] for x in (command, answer, friction))) for part in (slice(None), small))
+        if all(each > FAR or 0 < each < FAR_LESS for each in (times, near)):
             yield (
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
             )
 
 
-def _times(command: Array, needed: Array, speed: Array) -> float:
+def unlike(joint: Joint, signals: Compared) -> Iterator[str]:
+    """Yield a warning if the torque that a joint was given hardly resembles the torque that its motion needs.
+
+    Args:
+        joint: joint of the model, with the actuator that drives it; nothing is said of a position loop.
+        signals: command and motion of the joint.
+    """
+    if joint.actuator is None or joint.actuator.kp > 0:
+        return
+    command, needed, friction = (x - np.mean(x, axis=0) for x in (signals.command, signals.needed, signals.friction))
+    known = np.column_stack((needed, friction))
+    if (weights := np.linalg.lstsq(known, command)[0])[0] < 0:  # the opposite of the needed torque explains nothing
+        known, weights = friction, np.linalg.lstsq(friction, command)[0]
+    left = command - known @ weights
+    share = 1 - float(left @ left) / max(float(command @ command), 1e-300)
+    if share < ALIKE_LEAST:
+        yield (
+            f"{joint.name}: by the model, its motion explains {100 * max(share, 0.0):.0f} % of the variation of its "
+            "torque; check that its columns belong to this joint, and the zeros and signs of all joints"
+        )
+
+
+def _correlation(one: Array, other: Array) -> float:
+    """Return the correlation of two signals; 0 if one of them is constant."""
+    return float(np.corrcoef(one, other)[0, 1]) if np.ptp(one) > 0 and np.ptp(other) > 0 else 0.0
+
+
+def _is_far_better(other: float, together: float) -> bool:
+    """Report whether a correlation by another description leaves far less of a signal unexplained."""
+    return other > SAME and 1 - other**2 < LEFT * (1 - together**2)
+
+
+def _is_turned(joint: Joint, together: float, signals: Compared) -> bool:
+    """Report whether an actuator was sent the opposite, besides friction that the model may lack."""
+    if joint.actuator is not None and joint.actuator.kp > 0:
+        return together < -TOGETHER
+    times = _times(signals.command, signals.needed, signals.friction)
+    return together < -TOGETHER and abs(times + 1) < ALIKE
+
+
+def _opposite(joint: Joint, follows: bool, together: float, mirrored: float) -> str:
+    name = "moves against its command" if follows else "needs another torque than it was given"
+    which = "one of the two has"
+    if abs(mirrored + together) > AS_WELL:
+        which = "its readings have" if mirrored > -together else "its command has"
+    return f"{joint.name} {name}; {which} the opposite sign: write `scale: -1` for it"
+
+
+def _times(command: Array, needed: Array, friction: Array) -> float:
     """Return the needed torque per given torque; 1 if friction that the model may lack explains the difference."""
-    friction = np.stack((np.sign(speed), speed), axis=1)
     both = np.column_stack((needed, friction))
     share = np.linalg.lstsq(both, command)[0]
     own, left, left_alone = (
@@ -110,8 +168,9 @@ def _other_kind(joint: Joint, follows: bool) -> str:
     )
 
 
-def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:
-    low, high = joint.range
+def out_of_range(joint: Joint, where: str, seen: Array) -> Iterator[str]:
+    """Yield what is wrong if readings lie far beyond the joint's range, with its remedy; seen: rad or m, [T]."""
+    unit, (low, high) = "rad" if joint.turns else "m", joint.range
     if not math.isfinite(high - low):
         return
     first, last = float(np.quantile(seen, 0.01)), float(np.quantile(seen, 0.99))
@@ -124,7 +183,11 @@ def _range(joint: Joint, where: str, seen: Array, unit: str) -> Iterator[str]:
         yield f"{said}; are the readings in degrees? write `unit: deg`"
     elif last - first <= high - low + 2 * allowed:
         middle = 0.5 * (low + high) - 0.5 * (first + last)
-        yield f"{said}; their zeros differ: write `add` for the column, such as {middle:.3g}"
+        zero = f"`add` for the column, such as {middle:.3g}"
+        if -last >= low - allowed and -first <= high + allowed:
+            yield f"{said}; their sign or zero differs: write `scale: -1`, or {zero}"
+        else:
+            yield f"{said}; their zeros differ: write {zero}"
     else:
         yield f"{said}; correct the column's `unit`, or name another column"
 

@@ -268,7 +268,7 @@ class Mechanism:
             mujoco.mj_comPos(model, data)
             mujoco.mj_collision(model, data)
             if data.ncon:
-                one, other = moves[data.contact.geom].T
+                one, other = moves[data.contact.geom[data.contact.exclude == 0]].T  # the others have no force
                 found[k] |= bool((one != other).any())
         return found
 

@@ -18,16 +18,18 @@ from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, t
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, others, own_errors
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.compared import compared
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import Course, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, torque
+from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
     SLOW,
     STILL,
     WINDOW_PERIODS,
+    Motion,
     cut_edges,
     largest_acceleration,
     motions,
@@ -98,8 +100,8 @@ class JointView(RigView):
         self._held = [self._mechanism.held(joint, course) for course in self._courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
-        self._refuse_mistakes(trials)
-        self.assumptions = (*checks.assumptions(self._mechanism, joint, self._around[0]), *self._stuck())
+        unlike = self._refuse_mistakes(trials)
+        self.assumptions = (*checks.assumptions(self._mechanism, joint, self._around[0]), *self._stuck(), *unlike)
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
@@ -159,10 +161,10 @@ class JointView(RigView):
         fastest = float(np.quantile(np.concatenate(falls), 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
-    def _courses_with(self, around: Sequence[others.Around]) -> list[Course]:
-        """Return the motion of the whole model in each trial with a motion of the other joints."""
+    def _courses_with(self, around: Sequence[others.Around], along: Sequence[Motion] = ()) -> list[Course]:
+        """Return the motion of the whole model in each trial with a motion of the other joints, and of its own."""
         found = []
-        for m, each in zip(self._motions, around, strict=True):
+        for m, each in zip(along or self._motions, around, strict=True):
             own = {self._joint.name: (m.position, m.speed, m.acceleration)}
             found.append(self._mechanism.course(self._joint, {**own, **each}))
         return found
@@ -265,30 +267,29 @@ class JointView(RigView):
                 f"{FREE_LEAST}: record it in free motion, or move its column from `measured` to `base`"
             )
 
-    def _refuse_mistakes(self, trials: Sequence[Trial]) -> None:
-        """Raise TrialError if units, signs or gears of a trial certainly differ from the model's.
+    def _refuse_mistakes(self, trials: Sequence[Trial]) -> list[str]:
+        """Raise TrialError if units, signs or gears of a trial certainly differ from the model's; return warnings.
 
-        Stretches of a recording are too short to be judged; the whole was. A contact makes torques that do not count.
+        Stretches of a recording are too short to be judged; the whole was.
         """
-        free = ~np.concatenate(self._held)
-        if free.sum() < FREE_LEAST or any(trial.recording for trial in trials):
-            return
-        actuator = self._actuator  # a measured torque has taken the place of the model's
-        joint = replace(self._joint, actuator=actuator)
-        needed = [
-            torque(terms.base, m) + (joint.viscous * m.speed + joint.friction * np.sign(m.speed))
-            for m, terms in zip(self._motions, self._terms, strict=True)
-        ]
-        seen, speed = (
-            np.concatenate(each)[free] for each in zip(*((m.position, m.speed) for m in self._motions), strict=True)
-        )
-        sent = None
-        if actuator is not None:
-            factor = 1.0 if actuator.kp > 0 else actuator.scale
-            sent = factor * np.concatenate(self._sent)[free]
-        where, need = str(trials[0].source), np.concatenate(needed)[free]
-        if found := [*checks.mistakes(joint, where, seen, speed, sent, need)]:
+        free = [~held for held in self._held]
+        if sum(int(each.sum()) for each in free) < FREE_LEAST or any(trial.recording for trial in trials):
+            return []
+        joint, where, signals = replace(self._joint, actuator=self._actuator), str(trials[0].source), None
+        seen = np.concatenate([m.position[used] for m, used in zip(self._motions, free, strict=True)])
+        found = [*checks.out_of_range(joint, where, seen)]
+        if self._sent and not found:
+            signals = compared(joint, self._motions, self._sent, free, self._terms_along)
+            found = [*checks.mistakes(joint, where, signals)]
+        if found:
             raise TrialError("\n".join(found))
+        return [*checks.unlike(joint, signals)] if signals is not None else []
+
+    def _terms_along(self, along: Sequence[Motion]) -> list[Array]:
+        """Return the rigid-body terms of each trial along a motion of the joint, [ROWS, T]."""
+        if along is self._motions:
+            return [terms.base for terms in self._terms]
+        return [self._mechanism.terms(self._joint, each) for each in self._courses_with(self._around, along)]
 
     def _stuck(self) -> list[str]:
         if self._actuator is None or not self._actuator.kp > 0:

@@ -8,7 +8,7 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.rigs.mjcf.checks import assumptions, mistakes
+from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import view_of
@@ -34,6 +34,11 @@ def view(folder, recorded, robot, joint, change=("", ""), model=("", "")):
     (folder / "stage.yaml").write_text(stage.replace(*change))
     (folder / "robot.xml").write_text(ROBOTS[robot].model.read_text().replace(*model))
     return view_of([t for t in tables.read(folder / "stage.yaml") if t.stage.name == joint])[0]
+
+
+def signals(seen, speed, command, needed):
+    """Return signals whose motion needs the opposite torque if the readings have the opposite sign."""
+    return Compared(seen, command, needed, np.stack((np.sign(speed), speed), axis=1), lambda: -needed)
 
 
 def test_a_right_description_is_accepted(tmp_path, recorded):
@@ -63,6 +68,39 @@ def test_a_gear_that_is_left_out_of_the_model_is_reported(tmp_path, recorded):
         view(tmp_path, recorded, "leg", "hip", model=('joint="hip" gear="6"', 'joint="hip"'))
 
 
+@pytest.fixture(scope="module")
+def noisy(recorded):
+    """Return the recordings with encoders whose noise makes accelerations several times those of the leg."""
+    header, *rows = (line.split(",") for line in recorded["leg"].split())
+    values, random = np.array(rows, float), np.random.default_rng(3)
+    encoders = [name.startswith("q_") for name in header]
+    values[:, encoders] = np.round(values[:, encoders] + 1e-3 * random.normal(size=(len(values), 3)), 3)
+    lines = [",".join(f"{x:.6g}" for x in row) for row in values]
+    return {"leg": "\n".join([",".join(header), *lines, ""])}
+
+
+@pytest.mark.parametrize(
+    ("joint", "old", "new", "said"),
+    [
+        ("hip", "cmd_hip, unit: N m", "cmd_hip, unit: N m, scale: -1", "its command has the opposite sign"),
+        ("knee", "q_knee, unit: rad", "q_knee, unit: rad, scale: -1", "its readings have the opposite sign"),
+        ("ankle", "q_ankle, unit: rad", "q_ankle, unit: rad, scale: -1", "its readings have the opposite sign"),
+        ("hip", "cmd_hip, unit: N m", "cmd_hip, unit: N m, scale: 0.01", "write the gear ratio as `gear`"),
+    ],
+)
+def test_noise_of_accelerations_hides_no_mistake(tmp_path, noisy, joint, old, new, said):
+    with pytest.raises(TrialError, match=f"{joint}.*{said}"):
+        view(tmp_path, noisy, "leg", joint, (old, new))
+
+
+@pytest.mark.parametrize("column", ["cmd_hip", "q_hip"])
+def test_a_column_of_another_joint_is_warned_of(tmp_path, noisy, column):
+    swapped = f"source: {column}", f"source: {column.replace('hip', 'ankle')}"
+    (warning,) = view(tmp_path, noisy, "leg", "hip", swapped).assumptions
+    assert re.match(r"hip: by the model, its motion explains \d+ % of the variation of its torque; check that", warning)
+    assert view(tmp_path, noisy, "leg", "hip").assumptions == ()
+
+
 def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_path, recorded):
     servo = '<motor name="hip_motor" joint="hip" gear="6" ', '<position name="hip_motor" joint="hip" kp="20" kv="1" '
     with pytest.raises(TrialError, match=r"resembles the torque of its motion.*move the column to `torque`, as hip"):
@@ -90,25 +128,42 @@ def test_a_zero_outside_the_joints_range_is_reported(tmp_path, recorded):
     ranged = 'name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-0.8 0.8"'
     with pytest.raises(TrialError, match="their zeros differ: write `add`"):
         view(tmp_path, recorded, "camera", "tilt", added, ranged)
+    below = 'name="tilt" type="hinge"', 'name="tilt" type="hinge" range="-4 -2.4"'
+    with pytest.raises(TrialError, match="their sign or zero differs: write `scale: -1`, or `add` for the column"):
+        view(tmp_path, recorded, "camera", "tilt", added, below)
 
 
-@pytest.mark.parametrize(("factor", "limit", "refused"), [(0.2, np.inf, True), (1.0, 0.3, False)])
-def test_a_torque_limit_is_no_wrong_unit(factor, limit, refused):
-    """Small torques separate a limit, which can be named, from a wrong gear or unit."""
+@pytest.mark.parametrize(
+    ("factor", "limit", "refused"),
+    [(5.0, np.inf, True), (0.01, np.inf, True), (0.2, np.inf, False), (1.0, 0.3, False)],
+)
+def test_neither_a_torque_limit_nor_a_payload_is_a_wrong_unit(factor, limit, refused):
+    """Small torques separate a limit from a wrong gear or unit; a payload may load a wrist with five times its own."""
     command = np.random.default_rng(2).normal(size=2000)
     needed = factor * np.clip(command, -limit, limit)
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     seen = np.cumsum(command) * 1e-3
-    found = list(mistakes(hip, "run.csv", seen, np.roll(command, 700), 1.0 * command, needed))
+    found = list(mistakes(hip, "run.csv", signals(seen, np.roll(command, 700), command, needed)))
     assert bool(found) == refused
 
 
-def test_a_joint_that_always_touches_something_is_reported(tmp_path, recorded):
+def beside_a_box(z_m, gap_m=0):
+    """Return the old and the new world of the camera, with a geom near its centre and a large box at a height."""
     text, eye = ROBOTS["camera"].model.read_text(), '<body name="camera" pos="0 0 0.1">'
     world = text[text.index("<worldbody>") : text.index(eye) + len(eye)]
-    within = world.replace("<worldbody>", '<worldbody><geom type="box" size="9 9 9"/>') + '<geom size="0.01" mass="0"/>'
+    box = f'<worldbody><geom type="box" size="9 9 9" pos="0 0 {z_m}" gap="{gap_m}"/>'
+    return world, world.replace("<worldbody>", box) + f'<geom size="0.01" mass="0" gap="{gap_m}"/>'
+
+
+def test_a_joint_that_always_touches_something_is_reported(tmp_path, recorded):
     with pytest.raises(TrialError, match="tilt is free of contacts and limits in 0 samples; needed are 100: record it"):
-        view(tmp_path, recorded, "camera", "tilt", model=(world, within))
+        view(tmp_path, recorded, "camera", "tilt", model=beside_a_box(z_m=0))
+
+
+def test_a_contact_within_its_gap_has_no_force_and_does_not_count(tmp_path, recorded):
+    """Models of arms have touching links, whose contact MuJoCo lists and leaves out."""
+    near = view(tmp_path, recorded, "camera", "tilt", model=beside_a_box(z_m=-12, gap_m=20))
+    assert np.isfinite(near.measured).all()
 
 
 def test_a_short_recording_in_free_motion_is_not_taken_for_contact(tmp_path, recorded):
@@ -163,7 +218,7 @@ def test_a_position_that_lags_far_behind_is_no_torque(alike, refused):
     command, other, seen = random.normal(size=(3, 5000))
     tilt = Mechanism(ROBOTS["camera"].model).joint("tilt")
     needed = alike * command + np.sqrt(1 - alike**2) * other
-    found = list(mistakes(tilt, "run.csv", seen, np.gradient(seen), command, needed))
+    found = list(mistakes(tilt, "run.csv", signals(seen, np.gradient(seen), command, needed)))
     assert bool(found) == refused
 
 
@@ -175,5 +230,5 @@ def test_friction_that_takes_most_of_the_torque_is_no_wrong_unit():
     needed = 0.3 * np.sign(speed) + 0.1 * random.normal(size=5000)
     command = needed + 1.5 * np.sign(speed)
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
-    assert list(mistakes(hip, "run.csv", np.cumsum(speed), speed, command, needed)) == []
-    assert len(list(mistakes(hip, "run.csv", np.cumsum(speed), speed, 1000 * command, needed))) == 1
+    assert list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, command, needed))) == []
+    assert len(list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, 1000 * command, needed)))) == 1
