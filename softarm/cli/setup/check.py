@@ -7,6 +7,7 @@ import click
 
 from softarm.cli.shared.console import FOLDER, print_json, print_option, print_table, waiting
 from softarm.cli.shared.errors import fail, leaves
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.daemon.config.configuration import Loaded
@@ -114,12 +115,15 @@ def check_stage(file: Path, data: Path | None) -> None:
     print_table(columns, [*rows], f"{file}: contents", width=140)
     stages = {trial.stage.name: trial.stage.kind for trial in trials if trial.stage is not None}
     problems, assumptions = list[str](), list[str]()
-    for name in stages:
-        try:
-            view, _ = view_of([trial for trial in trials if trial.stage is not None and trial.stage.name == name])
-            assumptions += view.assumptions
-        except TrialError as error:
-            problems.append(str(error))
+    with bar("checking", len(stages)) as progress:
+        for name in stages:
+            progress.advance(0, f"checking {name}")
+            try:
+                view, _ = view_of([trial for trial in trials if trial.stage is not None and trial.stage.name == name])
+                assumptions += view.assumptions
+            except TrialError as error:
+                problems.append(str(error))
+            progress.advance()
     warnings = [*dict.fromkeys(text for trial in trials for text in trial.warnings), *assumptions]
     for text in warnings[:WARNINGS_MAX]:
         click.echo(f"warning: {text}", err=True)
