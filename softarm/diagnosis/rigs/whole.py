@@ -139,7 +139,10 @@ def _on(stretches: Stretches, view: RigView) -> RigView:
 
 
 def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
-    """Return the effect with one size for all views, with the widest bounds and the smallest usual change of any."""
+    """Return the effect with one size for all views, with the widest bounds and the median usual change.
+
+    The smallest one, of a light wrist, would hold a payload of a kilogram near zero.
+    """
     same: dict[str, list[FittedParameter]] = {}
     for view in views:
         (own,) = (each for each in view.effects if each.name == f"{view.stage}.{effect}")
@@ -147,7 +150,7 @@ def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
             same.setdefault(parameter.path.rpartition(".")[2], []).append(parameter)
     parameters = tuple(
         replace(
-            min(each, key=lambda d: d.size),
+            sorted(each, key=lambda d: d.size)[len(each) // 2],
             path=f"{part}.{effect}.{name}",
             low=min(d.low for d in each),
             high=max(d.high for d in each),

@@ -1,5 +1,6 @@
 """Effects of the whole mechanism, which one joint alone cannot separate from its own."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -75,6 +76,23 @@ def test_joints_that_a_payload_loads_have_it_in_one_size_without_rivals(payload)
     assert mass.value == pytest.approx(kg_of(LOAD), rel=0.1)
     assert pan.named.shrink.stage.value > 0.7
     assert tilt.named.shrink.stage.value > 0.7
+
+
+@pytest.mark.slow
+def test_a_light_joint_does_not_hold_a_large_payload_near_zero(loaded, monkeypatch):
+    """A usual payload of a wrist is a hundredth of an arm's."""
+    own = whole.candidate
+
+    def light(view, effect):
+        found = own(view, effect)
+        if effect.name != "tilt.payload":
+            return found
+        mass, distance = found.parameters
+        return replace(found, parameters=(replace(mass, size=mass.size / 300), distance))
+
+    monkeypatch.setattr(whole, "candidate", light)
+    (found,) = judged(loaded, shown(loaded, pan=("payload",), tilt=("mass", "payload", "gain")))
+    assert found.held["pan"].named.parameters["mass"].value == pytest.approx(kg_of(LOAD), rel=0.1)
 
 
 @pytest.mark.slow
