@@ -85,8 +85,8 @@ def held(page) -> str:
 
 
 def test_a_drag_turns_the_view_and_neither_drag_nor_click_sends_a_target(page, robot):
-    asked = []
-    page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+    posted = []
+    page.on("request", lambda request: posted.append(request.url) if request.method == "POST" else None)
     page.locator("#drawing-row button").click()
     canvas = page.locator("#drawing canvas")
     canvas.wait_for()
@@ -103,7 +103,7 @@ def test_a_drag_turns_the_view_and_neither_drag_nor_click_sends_a_target(page, r
     assert page.evaluate(PICTURE) == turned
     canvas.dblclick(position={"x": 200, "y": 120})
     assert page.evaluate(PICTURE) == before
-    assert asked == []
+    assert [url for url in posted if not url.endswith("/api/ticket")] == []  # a stream that was lost asks for a ticket
     page.locator("#drawing-row button").click()
     page.locator("#drawing svg").wait_for()
     assert canvas.count() == 0
