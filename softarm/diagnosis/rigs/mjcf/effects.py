@@ -69,7 +69,7 @@ class JointScales:
     lost: float  # mean torque of a motor that acts along the motion and that the motion does not need
     load: float  # largest torque of the weight and of the other joints' motion
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
-    payload: float  # mass at the end that doubles the usual torque or that of the joint, kg; inf if it has no effect
+    payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
     carries: bool  # another joint follows, so that the length of the link matters
     tilts: tuple[str, ...]  # horizontal axes about which a tilt of the base loads the joint

@@ -248,10 +248,6 @@ class Mechanism:
             return Link(self._name("body", root), start + reach, np.zeros(3), 0.0)
         return Link(self._name("body", root), start.copy(), reach / distance, distance)
 
-    def moved_kg(self, joint: Joint) -> float:
-        """Return the mass of the bodies that a joint moves, kg."""
-        return float(self.model.body_mass[self._moved(joint.dof)].sum())
-
     def held(self, joint: Joint, course: Course) -> NDArray[np.bool_]:
         """Return whether something unknown acts on a joint at each sample of a measured motion, [T].
 

@@ -316,7 +316,7 @@ class JointView(RigView):
             lost=lost(actuator, self._sent, found, needed),
             load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
             mass=float(rms(heavier) > felt),
-            payload=max(rms(needed) / rms(loaded), self._mechanism.moved_kg(joint)) if rms(loaded) > felt else np.inf,
+            payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
             reach=terms[0].distances_m[-1],
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
