@@ -192,3 +192,12 @@ def _unresolved(found, fit):
     found.choice = replace(found.choice, chosen=fit)
     found.__dict__.pop("unresolved", None)
     return found.unresolved
+
+
+def test_the_nominal_model_has_its_values_for_the_folds_of_search_and_verdict(found):
+    """A search over recordings has other folds than its verdict, and a held effect replaces a value of the model."""
+    found._original = {SWING: 0.5}
+    blocks = len(found.plain.fold)
+    found.plain = replace(found.plain, fold=np.arange(blocks))
+    assert blocks > len(found.choice.null_model.folds)
+    assert found.nominal.fold_points == [{SWING: 0.5}] * blocks
