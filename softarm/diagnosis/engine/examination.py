@@ -133,7 +133,7 @@ class Examination:
         """Return the nominal model, without any effect or nuisance, as a fit."""
         null_model, values = self.choice.null_model, np.array([*self._original.values()])
         fixed = [FittedParameter(path, "", x, x, x, 1.0, x) for path, x in self._original.items()]
-        folds = max(len(null_model.folds), len(np.unique(self.plain.fold)))  # both are asked for its values
+        folds = max(len(null_model.folds), len(np.unique(self.plain.fold)))  # of the search, of the verdict
         return replace(
             null_model,
             effects=(Candidate("original", self.stages[0], tuple(fixed), ()),) if fixed else (),

@@ -51,15 +51,15 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
     seen, command, needed, friction = signals[:4]
     if np.ptp(command) <= 0 or np.ptp(seen) <= 0:
         return
-    follows = joint.actuator is not None and joint.actuator.kp > 0
+    follows = joint.follows
     answer, other = (seen, needed) if follows else (needed, seen)
     together, resembles = _correlation(command, answer), _correlation(command, other)
     mirrored = -together if follows or together > SAME else _correlation(command, signals.mirrored())
     opposite = max(-together, mirrored)
     if _is_far_better(resembles, together) and resembles > opposite:
-        yield f"{where}: {_other_kind(joint, follows)}"
+        yield f"{where}: {_other_kind(joint)}"
     elif _is_far_better(opposite, together) or _is_turned(joint, together, signals):
-        yield f"{where}: {_opposite(joint, follows, together, mirrored)}"
+        yield f"{where}: {_opposite(joint, together, mirrored)}"
     elif follows and joint.turns:
         ratio = float(np.std(seen) / np.std(command))
         for of, times in (("measured", ratio), ("command", 1 / ratio)):
@@ -82,7 +82,7 @@ def unlike(joint: Joint, signals: Compared) -> Iterator[str]:
         joint: joint of the model, with the actuator that drives it; nothing is said of a position loop.
         signals: command and motion of the joint.
     """
-    if joint.actuator is None or joint.actuator.kp > 0:
+    if joint.follows:
         return
     command, needed, friction = (x - np.mean(x, axis=0) for x in (signals.command, signals.needed, signals.friction))
     known = np.column_stack((needed, friction))
@@ -109,14 +109,14 @@ def _is_far_better(other: float, together: float) -> bool:
 
 def _is_turned(joint: Joint, together: float, signals: Compared) -> bool:
     """Report whether an actuator was sent the opposite, besides friction that the model may lack."""
-    if joint.actuator is not None and joint.actuator.kp > 0:
+    if joint.follows:
         return together < -TOGETHER
     times = _times(signals.command, signals.needed, signals.friction)
     return together < -TOGETHER and abs(times + 1) < ALIKE
 
 
-def _opposite(joint: Joint, follows: bool, together: float, mirrored: float) -> str:
-    name = "moves against its command" if follows else "needs another torque than it was given"
+def _opposite(joint: Joint, together: float, mirrored: float) -> str:
+    name = "moves against its command" if joint.follows else "needs another torque than it was given"
     which = "one of the two has"
     if abs(mirrored + together) > AS_WELL:
         which = "its readings have" if mirrored > -together else "its command has"
@@ -154,10 +154,10 @@ def stuck(joint: Joint, seen: Array, command: Array) -> Iterator[str]:
         )
 
 
-def _other_kind(joint: Joint, follows: bool) -> str:
+def _other_kind(joint: Joint) -> str:
     """Return the remedy for a torque that was given as a position, or the reverse."""
     assert joint.actuator is not None
-    if follows:
+    if joint.follows:
         return (
             f"the command of {joint.name} resembles the torque of its motion, and its actuator {joint.actuator.name} "
             f"takes positions; move the column to `torque`, as {joint.name}"

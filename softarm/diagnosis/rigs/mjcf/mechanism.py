@@ -56,6 +56,11 @@ class Joint:
         return self.bodies[-1]
 
     @property
+    def follows(self) -> bool:
+        """Return whether a position loop drives the joint."""
+        return self.actuator is not None and self.actuator.kp > 0
+
+    @property
     def friction(self) -> float:
         """Return the dry friction of the joint and its followers."""
         return self.dry + self.followers_dry
