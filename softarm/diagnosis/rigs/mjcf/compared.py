@@ -36,7 +36,7 @@ def compared(
         terms: returns the rigid-body terms of each recording along a motion of the joint, [ROWS, T].
     """
     assert joint.actuator is not None
-    factor = 1.0 if joint.actuator.kp > 0 else joint.actuator.scale
+    factor = 1.0 if joint.follows else joint.actuator.scale
     widths = [_width(s, m.grid.step_s) for s, m in zip(sent, motions, strict=True)]
 
     def smooth(signals: Iterable[Array]) -> Array:
@@ -61,17 +61,13 @@ def _needed(joint: Joint, terms: Array, motion: Motion) -> Array:
 
 
 def _width(command: Array, step_s: float) -> float:
-    """Return the standard deviation of the Gaussian that keeps most of a command, in samples; 0 for a constant one."""
+    """Return the standard deviation of the Gaussian that keeps most of a command, in samples."""
     power = np.cumsum(np.abs(np.fft.rfft(command - np.mean(command))) ** 2)
-    if not power[-1] > 0:
-        return 0.0
     fastest_hz = np.fft.rfftfreq(len(command), step_s)[max(int(np.searchsorted(power, KEPT * power[-1])), 1)]
     return min(float(1 / (2 * np.pi * fastest_hz * step_s)), WIDEST * len(command))
 
 
 def _smooth(values: Array, used: NDArray[np.bool_], width: float) -> Array:
     """Return the weighted mean of the used values around each sample, [T]."""
-    if not width > 0:
-        return values
     total, weight = (gaussian_filter1d(x, width, mode="constant") for x in (np.where(used, values, 0.0), 1.0 * used))
     return np.asarray(total / np.maximum(weight, 1e-300))

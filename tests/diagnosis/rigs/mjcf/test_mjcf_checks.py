@@ -93,6 +93,18 @@ def test_noise_of_accelerations_hides_no_mistake(tmp_path, noisy, joint, old, ne
         view(tmp_path, noisy, "leg", joint, (old, new))
 
 
+def test_a_recording_with_a_constant_torque_hides_no_mistake(tmp_path, noisy):
+    """The leg hangs at rest without torque, and the noise of its encoders is all that changes."""
+    header, *rows = noisy["leg"].split()
+    random = np.random.default_rng(4)
+    still = [
+        ",".join([row.split(",")[0], "0,0,0", *(f"{x:.3f}" for x in 1e-3 * random.normal(size=3))]) for row in rows
+    ]
+    (tmp_path / "multisine-1.csv").write_text("\n".join([header, *still, ""]))
+    with pytest.raises(TrialError, match="its command has the opposite sign"):
+        view(tmp_path, noisy, "leg", "hip", ("cmd_hip, unit: N m", "cmd_hip, unit: N m, scale: -1"))
+
+
 @pytest.mark.parametrize("column", ["cmd_hip", "q_hip"])
 def test_a_column_of_another_joint_is_warned_of(tmp_path, noisy, column):
     swapped = f"source: {column}", f"source: {column.replace('hip', 'ankle')}"
