@@ -6,6 +6,7 @@ import { clock, el, seconds, sentence, worded } from "../view/dom.js";
 import { LISTING_S, Panel, words } from "./panel.js";
 
 const EVERY_MS = 1000;
+const FOCUS_MS = 100; // longest time for which a report keeps the keyboard
 const LOGS_MAX = 20; // the daemon's own limit for one diagnosis
 const STATES = { running: "… running", done: "✓ done", failed: "✕ failed", cancelled: "– cancelled" };
 const TITLES = { excite: "Excitation", diagnose: "Diagnosis", replay: "Replay" };
@@ -16,8 +17,9 @@ export class Jobs extends Panel {
     super("Jobs", "api/jobs");
     Object.assign(this, { logs: [], chosen: new Set(), excitation: "seed", shown: null, said: "" });
     follower.watchers.add(() => this.place.hidden || this.open());
-    // A click into a report moves the focus there, where Space would not stop the robot.
-    addEventListener("blur", () => setTimeout(() => document.activeElement?.tagName === "IFRAME" && document.activeElement.blur()));
+    // A click into a report moves the focus there, where Space would not stop the robot. The window's event for it may come
+    // before the focus has moved, or not at all.
+    setInterval(() => document.activeElement?.tagName === "IFRAME" && document.activeElement.blur(), FOCUS_MS);
   }
 
   async load() {
