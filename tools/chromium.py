@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
 BYTES_MAX, COLOURS = 150_000, 256  # limits of a picture for the pages
-NAMES = ("chromium", "chromium-browser", "google-chrome")
+# The shell comes first: it shows the same pages for two thirds of the processor time.
+NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
 
 def found() -> str | None:
@@ -28,7 +29,7 @@ def opened() -> "Iterator[Browser]":
     from playwright.sync_api import sync_playwright
 
     if (path := found()) is None:
-        raise click.ClickException("there is no chromium here: apt-get install chromium")
+        raise click.ClickException("there is no chromium here: apt-get install chromium-headless-shell")
     with sync_playwright() as playwright:
         # Chromium refuses to build its sandbox as root.
         rights = ["--no-sandbox"] if os.geteuid() == 0 else []
