@@ -247,7 +247,7 @@ class _Plant:
                 flight.carry(k, data)
             q, v = data.qpos[self.places], data.qvel[self.dofs]
             true[k] = q
-            bend = np.clip(bend + STEP_S * v, -give, give)
+            bend = np.minimum(np.maximum(bend + STEP_S * v, -give), give)  # a fifth of the time of np.clip
             level = dry + law["uneven"] * np.sign(v)
             torque = -damping * v - law["spring"] * q + law["torque"]
             torque -= level / give * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
@@ -355,7 +355,7 @@ class _Drive:
                 speed = (wanted[ahead] - wanted[k]) / (self.each * STEP_S)
                 stiff = self.inertia * 60.0
                 torque = stiff * (wanted[k] - q[i]) + 2 * 0.5 * np.sqrt(stiff * self.inertia) * (speed - v[i])
-                self.command = float(np.clip(torque / self.gear, -self.most, self.most))
+                self.command = float(min(max(torque / self.gear, -self.most), self.most))
             sent[self.name][k // self.each] = self.command
         self.queue.append(self.command)
         late = self.queue.pop(0)
@@ -364,7 +364,7 @@ class _Drive:
             torque = self.gear * self.filtered
         else:
             error = self.filtered - q[i]
-            error -= np.clip(error, -self.law.dead, self.law.dead)
+            error -= min(max(error, -self.law.dead), self.law.dead)
             torque = self.law.stiff * self.gain * error - self.kd * v[i]
         limit = min(self.limit, self.law.limit)
-        return float(np.clip(self.law.gain * self.tired[k] * torque, -limit, limit))
+        return float(min(max(self.law.gain * self.tired[k] * torque, -limit), limit))

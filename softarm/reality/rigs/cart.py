@@ -78,6 +78,7 @@ def cart(
     copies = len(lanes) // trials
     of = np.tile(np.arange(trials), copies)
     springs = p["spring_rad_s"] > 0
+    sprung = bool(springs.any())
     mass = np.where(springs, (1 - LOAD_SHARE) * p["mass_kg"], p["mass_kg"])
     load = LOAD_SHARE * p["mass_kg"]
     stiff, damp = load * p["spring_rad_s"] ** 2, 2 * SPRING_ZETA * load * p["spring_rad_s"]
@@ -121,14 +122,14 @@ def cart(
         push -= p["bumper_n_m"] * np.maximum(x - p["bumper_m"], 0.0)
         if rub.any:
             push -= rub.force(v)
-        if np.any(springs):
+        if sprung:
             pull = np.where(springs, stiff * (x - y) + damp * (v - w), 0.0)
             w += dt_s * pull / np.maximum(load, 1e-12)
             y += dt_s * w
             push -= pull
         v += dt_s * push / mass
         x += dt_s * (v - dt_s * push / mass / 2)  # exact for a constant force
-        if not np.any(springs):
+        if not sprung:
             y[:] = x
     return out, asked
 
@@ -149,4 +150,4 @@ def _requested_force(
     wanted_push = (after - 2 * here + before) / step_s**2
     c = controller.corner_rad_s
     force = controller.mass_kg * (wanted_push + 2 * c * (wanted_speed - speed) + c * c * (path[i] - measured))
-    return np.asarray(np.clip(force, -controller.force_max_n, controller.force_max_n))
+    return np.asarray(np.minimum(np.maximum(force, -controller.force_max_n), controller.force_max_n))

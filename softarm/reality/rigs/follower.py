@@ -52,6 +52,7 @@ class _Seen:
     def __init__(self, p: Mapping[str, Array], start: Array, clock_s: Array, dt_s: float) -> None:
         self._p, self._clock_s, self._dt_s = p, clock_s, dt_s
         self._springs = p["mode_rad_s"] > 0
+        self._sprung = bool(self._springs.any())
         self._at, self._speed = start.copy(), np.zeros_like(start)
         self._play = Play(p["gap"] * worn(p, clock_s), start)
         self._loops = Loops(p["loop_width"], start)
@@ -62,7 +63,7 @@ class _Seen:
 
     def step(self, x: Array, push: Array, t_s: float) -> Array:
         p, dt = self._p, self._dt_s
-        if np.any(self._springs):
+        if self._sprung:
             w, zeta = p["mode_rad_s"], p["mode_zeta"]
             moved = (x - self._last) / dt if t_s > 0 else np.zeros_like(x)
             self._speed += dt * (w * w * (x - self._at) + 2 * zeta * w * (moved - self._speed))

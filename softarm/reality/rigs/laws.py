@@ -54,13 +54,14 @@ class Bristles:
         stiffest = np.asarray(inertia) * (_STIFFEST / dt_s) ** 2
         self._stiffness: Array = np.minimum(level / np.asarray(give), stiffest)
         self._damping: Array = 0.7 * np.sqrt(self._stiffness * np.asarray(inertia)) * (level > 2 * _TINY)
+        self._sticks = bool(np.any(self._more))
         self.bend: Array = np.zeros_like(level)
         self.any = bool(np.any(level > 2 * _TINY))
 
     def force(self, v: Array) -> Array:
         """Advance by one step at a speed and return the friction force."""
         level = np.maximum(np.where(v > 0, self.up, self.down), _TINY)
-        if np.any(self._more):
+        if self._sticks:
             level = level * (1 + self._more * np.exp(-((v / self._stribeck) ** 2)))
         rest = np.sign(v) * level / self._stiffness
         kept = np.exp(-np.abs(v) * self._stiffness / level * self._dt_s)
@@ -68,7 +69,8 @@ class Bristles:
         rate = (bent - self.bend) / self._dt_s
         self.bend = bent
         # Damping settles a stuck body. It is limited because it must not add to the friction at a reversal.
-        settling = np.clip(self._damping * rate, -_SETTLING * level, _SETTLING * level)
+        most = _SETTLING * level
+        settling = np.minimum(np.maximum(self._damping * rate, -most), most)  # np.clip takes twice the time
         return np.asarray(self._stiffness * bent + settling)
 
 

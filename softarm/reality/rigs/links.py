@@ -60,6 +60,7 @@ class Links:
         self.p = {
             name: np.array([lane.get(name, v) for lane in lanes], dtype=float) for name, v in LANE_PARAMETERS.items()
         }
+        self._drags = bool(np.any(self.p["drag_n_s2_m2"]))
         self.n, self.dt_s, self.clock_s, self.bias = n, dt_s, clock_s, joint["bias_rad"]
         mass, centre, inertia, length = (joint[k] for k in ("mass_kg", "centre_m", "inertia_kg_m2", "length_m"))
         beyond = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1] - mass + self.p["payload_kg"][:, None]
@@ -111,7 +112,7 @@ class Links:
         total[:, :-1] -= joint[:, 1:]
         weight = GRAVITY_M_S2 * (1 + p["moment"])[:, None] * np.sin(q + p["tilt_rad"][:, None])
         total -= self.arm * (weight + np.cos(q) * push[:, None])
-        if np.any(p["drag_n_s2_m2"]):
+        if self._drags:
             total += self._drag(q, v)
         if self.n == 1:
             return np.asarray(total / self.own)
@@ -161,7 +162,7 @@ def swing(
     window = max(round(window_s / dt_s), 1) if math.isfinite(window_s) else steps + 1
     none, still = np.zeros((len(lanes), n)), np.zeros(len(lanes))
     late = np.round(chain.p["delay_s"] / dt_s).astype(int)
-    asked: list[Array] = []
+    delayed, asked = bool(late.any()), list[Array]()
     of = np.tile(np.arange(trials), copies)
     for i in range(steps):
         if i % window == 0 and i > 0:
@@ -171,7 +172,7 @@ def swing(
         torque: Array = none
         if torques is not None:
             asked.append(torques(i, chain.state[0, :trials], chain.state[1, :trials]))
-            torque = _late(asked, i, late, of)
+            torque = _late(asked, i, late, of) if delayed else asked[i][of]
         push = (still,) * 3 if base is None else tuple(base[2 * i + k][of] for k in range(3))
         chain.step(i * dt_s, torque, (push[0], push[1], push[2]))
     return np.asarray(out + chain.bias)
@@ -179,6 +180,4 @@ def swing(
 
 def _late(asked: list[Array], i: int, late: NDArray[np.int64], of: NDArray[np.int64]) -> Array:
     """Return the delayed torques [L, n]."""
-    if not np.any(late):
-        return np.asarray(asked[i][of])
     return np.stack([asked[max(i - int(d), 0)][k] for d, k in zip(late, of, strict=True)])
