@@ -48,6 +48,12 @@ class Made:
         self.viscous = get("damping_nm_s_rad") + np.broadcast_to(beyond.get("viscous", 0.0), n)
         self.dry = get("coulomb_nm") + np.broadcast_to(beyond.get("dry", 0.0), n)
         self.beyond = beyond
+        self.below = np.tril(np.ones((n, n)))  # d phi_j / d theta_k
+        bodies = [(i, self.mass[i], self.centre[i], True) for i in range(n)]
+        if beyond.get("payload"):
+            bodies.append((n - 1, beyond["payload"], self.length[-1], False))
+        before, own = np.arange(n)[:, None] > np.arange(n), np.eye(n)
+        self.bodies = [(i, mass, before[i] * self.length + own[i] * arm, link) for i, mass, arm, link in bodies]
 
     def rates(self, t, state, torque, push):
         """Return the derivatives of joint angles and rates."""
@@ -58,16 +64,13 @@ class Made:
         down = GRAVITY * (1 + b.get("weight", 0.0))
         tilt = b.get("tilt", 0.0)
         pull = down * np.array((np.sin(tilt), -np.cos(tilt)))
-        below = np.tril(np.ones((n, n)))  # d phi_j / d theta_k
-        bodies = [(i, self.mass[i], self.centre[i], True) for i in range(n)]
-        if b.get("payload"):
-            bodies.append((n - 1, b["payload"], self.length[-1], False))
-        for i, mass, arm, link in bodies:
-            reach = np.where(np.arange(n) < i, self.length, np.where(np.arange(n) == i, arm, 0.0))
-            jacobian = np.stack((reach * np.cos(phi), reach * np.sin(phi))) @ below  # of y to the side, z upwards
-            swirl = np.array((-(reach * np.sin(phi) * omega**2).sum(), (reach * np.cos(phi) * omega**2).sum()))
+        turned, below, squares, sideways = np.array((np.cos(phi), np.sin(phi))), self.below, omega**2, push(t)
+        for i, mass, reach, link in self.bodies:
+            way = reach * turned  # of y to the side, z upwards
+            jacobian, (towards, up) = way @ below, way @ squares
+            swirl = np.array((-up, towards))
             matrix += mass * jacobian.T @ jacobian
-            force = mass * (pull * (1 + b.get("cubic", 0.0) * phi[i] ** 2) - swirl - np.array((push(t), 0.0)))
+            force = mass * (pull * (1 + b.get("cubic", 0.0) * phi[i] ** 2) - swirl - np.array((sideways, 0.0)))
             if link:
                 own = self.inertia[i] + b.get("inertia", 0.0) * (self.inertia[i] + mass * self.centre[i] ** 2)
                 matrix += own * np.outer(below[i], below[i])

@@ -39,41 +39,42 @@ def rig(command, truth, step_s=STEP_S):
     late = round((truth.get("delay", 0.0) + truth.get("latency", 0.0)) / h)
     fine = np.concatenate((np.full(late, fine[0]), fine))[: len(fine)]
     fine = np.minimum(fine * (1 + truth.get("scale", 0.0)) + truth.get("offset", 0.0), truth.get("limit", math.inf))
+    gap, width = truth.get("gap", 0.0), truth.get("width", 0.0)
+    lag, lags = truth.get("lag", h), "lag" in truth or "rise" in truth
+    rise, fall = max(truth.get("rise", lag), h), max(truth.get("fall", lag), h)
+    rate, most = truth.get("rate", math.inf), truth.get("acceleration", math.inf) * h
+    down = truth.get("down", rate)
+    loop, height = truth.get("loop", 0.0), truth.get("height", 0.0)
+    w, zeta, between = (truth.get(key, 0.0) for key in ("w", "zeta", "between"))
+
+    def slope(error):
+        beyond = math.copysign(max(abs(error) - width, 0.0), error)
+        return min(max(beyond / (rise if beyond > 0 else fall), -down), rate)
+
     y = v = x = 0.0
-    seen = hung = 0.0
+    seen = hung = speed = 0.0
     out = np.empty(len(command))
-    for i, target in enumerate(fine):
+    for i, target in enumerate(fine.tolist()):
         if i % FINE == 0:
-            seen = min(max(seen, x - truth.get("gap", 0.0) / 2), x + truth.get("gap", 0.0) / 2)
-            out[i // FINE] = seen + truth.get("bias", 0.0) - truth.get("height", 0.0) * hung
-
-        def slope(at, target=target):
-            error = target - at
-            beyond = math.copysign(max(abs(error) - truth.get("width", 0.0), 0.0), error)
-            lag = truth.get("rise", truth.get("lag", h)) if beyond > 0 else truth.get("fall", truth.get("lag", h))
-            wanted = beyond / max(lag, h)
-            return min(max(wanted, -truth.get("down", truth.get("rate", math.inf))), truth.get("rate", math.inf))
-
-        wanted, led = slope(y), y
-        if "lag" in truth or "rise" in truth:
-            wanted = 0.5 * (wanted + slope(y + h * wanted))
-        most = truth.get("acceleration", math.inf) * h
+            seen = min(max(seen, x - gap / 2), x + gap / 2)
+            out[i // FINE] = seen + truth.get("bias", 0.0) - height * hung
+        wanted, led, before = slope(target - y), y, x
+        if lags:
+            wanted = 0.5 * (wanted + slope(target - (y + h * wanted)))
         v += min(max(wanted - v, -most), most)
         y += h * v
-        if "w" in truth:  # semi-implicit: a spring, a damper, a mass
-            speed = truth.setdefault("_speed", 0.0)
-            damped = 2 * truth["zeta"] * truth["w"]
-            speed += h * (truth["w"] ** 2 * (y - x) - damped * speed)
-            speed += damped * truth.get("between", 0.0) * (y - led)
-            truth["_speed"], before, x = speed, x, x + h * speed
+        if w:  # semi-implicit: a spring, a damper, a mass
+            damped = 2 * zeta * w
+            speed += h * (w**2 * (y - x) - damped * speed)
+            speed += damped * between * (y - led)
+            x += h * speed
         else:
-            before, x = x, y
-        if "height" in truth:
+            x = y
+        if height:
             way = x - before
-            parts = 1 + int(abs(way) / (0.01 * truth["loop"]))
+            parts = 1 + int(abs(way) / (0.01 * loop))
             for _ in range(parts):
-                hung += (way - abs(way) * hung) / truth["loop"] / parts
-    truth.pop("_speed", None)
+                hung += (way - abs(way) * hung) / loop / parts
     return out
 
 
