@@ -1,6 +1,7 @@
 """Plug-ins of other packages are checked before their use."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,14 @@ class Takes:
 def test_without_plugins_an_unknown_name_is_reported():
     with pytest.raises(PluginError, match=r"no source 'udp' \(installed: none\)"):
         plugins.find("source", "udp", {})
+
+
+def test_a_plugin_is_found_as_soon_as_it_is_installed_and_until_it_is_removed(install, tmp_path):
+    assert "late" not in plugins.installed("softarm.tests")
+    install("late_plugin", "def make(): return 5\n", "softarm.tests", late="make")
+    assert plugins.installed("softarm.tests")["late"]()() == 5
+    shutil.rmtree(tmp_path / "late_plugin-1.0.dist-info")
+    assert "late" not in plugins.installed("softarm.tests")
 
 
 def test_options_are_checked_before_anything_is_made():

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from softarm.common import http
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
@@ -48,7 +49,7 @@ class Robot:
     """The daemon's REST API, without the page."""
 
     def __init__(self, url: str) -> None:
-        self.client = httpx.Client(base_url=url, timeout=60)
+        self.client = http.client(url, timeout_s=60)
 
     @property
     def status(self) -> dict:
