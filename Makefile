@@ -21,10 +21,11 @@ install: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-# The simulator's kernels, compiled before tests start side by side.
+# Kernels and test modules, compiled once, before processes start that would each compile them.
 .venv/.compiled: .venv/.installed-dev $(wildcard softarm/simulator/*.py softarm/simulator/kernel/*.py)
-	@echo "compiling the simulator (once after each change, about half a minute) ..."
+	@echo "compiling the simulator and the tests (once after each change, about a minute) ..."
 	@$(BIN)/python -m tools.kernels
+	@$(BIN)/pytest --collect-only --quiet >/dev/null || true
 	@touch $@
 
 demo: install
