@@ -19,7 +19,8 @@ class PluginError(Exception):
 
 def installed(group: str) -> dict[str, Callable[[], Plugin]]:
     """Return the loaders of a group's plug-ins by name; loading imports the plug-in."""
-    changed = tuple((place, os.stat(place).st_mtime_ns) for place in sys.path if os.path.isdir(place))
+    places = filter(os.path.exists, map(os.path.abspath, sys.path))  # an empty entry is the current folder
+    changed = tuple((place, os.stat(place).st_mtime_ns) for place in places)
     return {point.name: point.load for point in _points(group, changed)}
 
 

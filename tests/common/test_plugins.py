@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ def test_a_plugin_is_found_as_soon_as_it_is_installed_and_until_it_is_removed(in
     assert plugins.installed("softarm.tests")["late"]()() == 5
     shutil.rmtree(tmp_path / "late_plugin-1.0.dist-info")
     assert "late" not in plugins.installed("softarm.tests")
+
+
+def test_a_plugin_in_the_current_folder_is_found_where_the_path_has_an_empty_entry(install, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    assert "near" not in plugins.installed("softarm.tests")
+    install("near_plugin", "def make(): return 6\n", "softarm.tests", near="make")
+    sys.path.remove(str(tmp_path))
+    assert plugins.installed("softarm.tests")["near"]()() == 6
 
 
 def test_options_are_checked_before_anything_is_made():
