@@ -21,7 +21,8 @@ install: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-# Kernels and test modules, compiled once, before processes start that would each compile them.
+# Kernels and test modules, compiled once, before processes start that would each compile them. The tests themselves
+# report a module that cannot be imported.
 .venv/.compiled: .venv/.installed-dev $(wildcard softarm/simulator/*.py softarm/simulator/kernel/*.py)
 	@echo "compiling the simulator and the tests (once after each change, about a minute) ..."
 	@$(BIN)/python -m tools.kernels

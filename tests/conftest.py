@@ -83,7 +83,7 @@ def browser() -> "Iterator[Browser]":
     """A real browser, one for all tests of a file; without Playwright or Chromium its tests are skipped, and say so."""
     pytest.importorskip("playwright.sync_api")
     if chromium.found() is None:
-        pytest.skip("there is no chromium: no page is tried (apt-get install chromium-headless-shell)")
+        pytest.skip(f"no page is tried: {chromium.MISSING}")
     with chromium.opened() as opened:
         yield opened
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 BYTES_MAX, COLOURS = 150_000, 256  # limits of a picture for the pages
 # The shell comes first: it shows the same pages for two thirds of the processor time.
 NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+MISSING = "there is no chromium here: apt-get install chromium-headless-shell, or chromium"
 
 
 def found() -> str | None:
@@ -29,7 +30,7 @@ def opened() -> "Iterator[Browser]":
     from playwright.sync_api import sync_playwright
 
     if (path := found()) is None:
-        raise click.ClickException("there is no chromium here: apt-get install chromium-headless-shell")
+        raise click.ClickException(MISSING)
     with sync_playwright() as playwright:
         # Chromium refuses to build its sandbox as root.
         rights = ["--no-sandbox"] if os.geteuid() == 0 else []

@@ -247,7 +247,7 @@ class _Plant:
                 flight.carry(k, data)
             q, v = data.qpos[self.places], data.qvel[self.dofs]
             true[k] = q
-            bend = np.minimum(np.maximum(bend + STEP_S * v, -give), give)  # a fifth of the time of np.clip
+            bend = np.minimum(np.maximum(bend + STEP_S * v, -give), give)  # half the time of np.clip
             level = dry + law["uneven"] * np.sign(v)
             torque = -damping * v - law["spring"] * q + law["torque"]
             torque -= level / give * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)

@@ -70,7 +70,7 @@ class Bristles:
         self.bend = bent
         # Damping settles a stuck body. It is limited because it must not add to the friction at a reversal.
         most = _SETTLING * level
-        settling = np.minimum(np.maximum(self._damping * rate, -most), most)  # np.clip takes twice the time
+        settling = np.minimum(np.maximum(self._damping * rate, -most), most)  # half the time of np.clip
         return np.asarray(self._stiffness * bent + settling)
 
 

@@ -162,7 +162,8 @@ def swing(
     window = max(round(window_s / dt_s), 1) if math.isfinite(window_s) else steps + 1
     none, still = np.zeros((len(lanes), n)), np.zeros(len(lanes))
     late = np.round(chain.p["delay_s"] / dt_s).astype(int)
-    delayed, asked = bool(late.any()), list[Array]()
+    delayed = bool(late.any())
+    asked: list[Array] = []
     of = np.tile(np.arange(trials), copies)
     for i in range(steps):
         if i % window == 0 and i > 0:

@@ -64,7 +64,8 @@ class Made:
         down = GRAVITY * (1 + b.get("weight", 0.0))
         tilt = b.get("tilt", 0.0)
         pull = down * np.array((np.sin(tilt), -np.cos(tilt)))
-        turned, below, squares, sideways = np.array((np.cos(phi), np.sin(phi))), self.below, omega**2, push(t)
+        turned, below = np.array((np.cos(phi), np.sin(phi))), self.below
+        squares, sideways = omega**2, push(t)
         for i, mass, reach, link in self.bodies:
             way = reach * turned  # of y to the side, z upwards
             jacobian, (towards, up) = way @ below, way @ squares

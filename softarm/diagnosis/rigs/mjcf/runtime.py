@@ -118,7 +118,7 @@ class RuntimeEffects:
             robot.step_s,
             depth,
             np.array([joint.actuator.gear if joint.actuator else 1.0 for joint in joints]),
-            np.array([bool(joint.actuator and joint.actuator.kp > 0) for joint in joints]),
+            np.array([joint.follows for joint in joints]),
             np.array([joint.dry for joint in joints]),
         )
 
