@@ -71,6 +71,15 @@ def usual_step(integrals: Sequence[tuple[Array, Array]]) -> float:
     return max(float(np.median(np.diff(t))) for t, _ in integrals)
 
 
+def fastest_change(integrals: Sequence[tuple[Array, Array]]) -> float:
+    """Return the fastest change of any input per second; 0 without an input; integrals: results of `held_integral`."""
+    rates = []
+    for t_s, summed in integrals:
+        held = np.diff(summed) / np.diff(t_s)
+        rates.append(float(np.max(np.abs(np.diff(held))) / np.median(np.diff(t_s))))
+    return max(rates, default=0.0)
+
+
 def time_since_change(t_s: Array, values: Array) -> Array:
     """Return the time since a value last changed, s [T]."""
     changed = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1))

@@ -14,6 +14,8 @@ LEAST_GAIN = -0.998
 LEAST_MASS = -0.5
 # Share of the usual torque: a friction that matters.
 USUAL = 0.15
+# Least payload that loads a joint fully, as a share of the mechanism's mass: a light wrist's own torque says little.
+CARRIED = 0.3
 # Multiple of a usual friction from which the torque that the motion does not need sets the scale, and of that torque up
 # to which a friction is sought.
 LOST = 2.0
@@ -70,6 +72,7 @@ class JointScales:
     load: float  # largest torque of the weight and of the other joints' motion
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
+    moving_kg: float  # mass of the mechanism without its fixed base
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
     carries: bool  # another joint follows, so that the length of the link matters
     tilts: tuple[str, ...]  # horizontal axes about which a tilt of the base loads the joint
@@ -256,11 +259,12 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
         )
     if math.isfinite(s.payload):
         place = shape("distance", "m", s.reach, 0.0, 2 * s.reach, s.reach, "from the last joint, along its link")
+        most = max(s.payload, CARRIED * s.moving_kg)
         yield like(
             "arm.payload",
             "extra mass at the end of the mechanism",
             "{mass} extra hang at the end, behind {stage}",
-            strength("mass", "kg", 0.0, 0.0, 10 * s.payload, USUAL * s.payload, "a point on the last link"),
+            strength("mass", "kg", 0.0, 0.0, 10 * most, USUAL * most, "a point on the last link"),
             *((place,) if s.reach else ()),
         )
     if s.carries:

@@ -296,6 +296,12 @@ class Mechanism:
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         return model
 
+    def moving_kg(self, joint: Joint) -> float:
+        """Return the mass of the mechanism that a joint belongs to, without its fixed base, kg."""
+        model = self.model
+        own = model.body_rootid == model.body_rootid[model.dof_bodyid[joint.dof]]
+        return float(model.body_mass[own & (model.body_weldid != 0)].sum())
+
     def carries(self, joint: Joint) -> bool:
         """Return whether another joint follows behind a hinge of an open chain, so that its link's length matters."""
         return (

@@ -14,7 +14,14 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
-from softarm.diagnosis.rigs.grid import held_integral, held_means, resolution, time_since_change, usual_step
+from softarm.diagnosis.rigs.grid import (
+    fastest_change,
+    held_integral,
+    held_means,
+    resolution,
+    time_since_change,
+    usual_step,
+)
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, others, own_errors
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
@@ -317,6 +324,7 @@ class JointView(RigView):
             load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
             mass=float(rms(heavier) > felt),
             payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
+            moving_kg=self._mechanism.moving_kg(joint),
             reach=terms[0].distances_m[-1],
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
@@ -326,7 +334,7 @@ class JointView(RigView):
             resolution=max(step, *(m.noise for m in found)),
             step_s=float(np.median([m.grid.step_s for m in found])),
             period_s=period(found),
-            command_rate=self._command_rate(),
+            command_rate=fastest_change(self._inputs),
         )
 
     @property
@@ -335,13 +343,6 @@ class JointView(RigView):
         tilt = f"{self.stage}.tilt"
         alike = self._like_tilt and any(effect.name == tilt for effect in self.effects)
         return {**super().indistinguishable, **({self._like_tilt: (tilt,)} if alike else {})}
-
-    def _command_rate(self) -> float:
-        if not self._inputs:
-            return 0.0
-        held = [np.diff(summed) / np.diff(t) for t, summed in self._inputs]
-        steps = [float(np.median(np.diff(t))) for t, _ in self._inputs]
-        return max(float(np.max(np.abs(np.diff(h)))) / s for h, s in zip(held, steps, strict=True))
 
     def _nominal(self) -> dict[str, float]:
         joint, actuator = self._joint, self._actuator

@@ -355,11 +355,15 @@ HANGING = """<mujoco>
 </mujoco>"""
 
 
-def hand(folder, dry):
-    """Return the trials of a hand with a fine encoder, whose load depends on the coarse one of the upper arm."""
-    text = HANGING.format(dry=dry)
+def hand(folder, dry, load=""):
+    """Return the trials of a hand with a fine encoder, whose load depends on the coarse one of the upper arm.
+
+    load: body in the hand that its model lacks.
+    """
+    text, place = HANGING.format(dry=dry), 'diaginertia="1e-4 1e-4 1e-4"/>'
+    assert place in text
     (folder / "arm.xml").write_text(text)
-    model, random = mujoco.MjModel.from_xml_string(text), np.random.default_rng(3)
+    model, random = mujoco.MjModel.from_xml_string(text.replace(place, place + load)), np.random.default_rng(3)
     for number in range(2):
         data, rows = mujoco.MjData(model), []
         for k in range(1500):
@@ -392,6 +396,16 @@ def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
     assert view.nominal("coulomb_friction.creep")
     left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
     assert 0.7 * left < view.floor[0] < 1.6 * left
+
+
+def test_a_light_joint_may_carry_ten_times_its_own_mass(tmp_path):
+    """The hand of 0.1 kg swings with so little torque that a payload of 50 g would double it."""
+    load = '<body pos="0 0 -0.08"><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    verdict = diagnose_table(hand(tmp_path, dry=0.0, load=load)).verdict
+    ((name, sizes),) = ((effect.name, effect.parameters) for effect in verdict.effects)
+    assert (verdict.verdict, name) == ("named", "hand.payload")
+    assert sizes["mass"].low <= 1.0 <= sizes["mass"].high
+    assert sizes["distance"].low <= 0.08 <= sizes["distance"].high
 
 
 MOTOR = """<mujoco>
