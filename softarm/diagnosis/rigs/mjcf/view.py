@@ -31,6 +31,7 @@ from softarm.diagnosis.rigs.mjcf.mechanism import Course, mechanism
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost
+from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
     SLOW,
@@ -70,8 +71,6 @@ MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
 OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE, LEVEL_RAD = 3e-3, 2e-3, 5e-3
-# The same for the zero of one recording beside the others': dry friction holds the pose that sets an encoder's zero.
-ZERO_APART = 20
 # Relative errors of a gain at which a search may begin: models often have those of another unit or firmware.
 FAR_GAINS = -0.7, -0.9, -0.97, -0.985
 # Travels over which a model's friction may bend, in its usual value.
@@ -137,7 +136,7 @@ class JointView(RigView):
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
         self.measure_floor()
         self._unsure = self._without_unsure()
-        self._apart = self._zeros([t.recording or t.name for t in trials])
+        self._zeros = self._zeros_of(trials)
 
     def assume(self, path: str, value: float) -> None:
         """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
@@ -208,23 +207,10 @@ class JointView(RigView):
         """Error of a good zero, rad or m."""
         return ZERO_RAD if self._joint.turns else ZERO_SHARE * self._scales.travel
 
-    def _zeros(self, recordings: Sequence[str]) -> tuple[NDArray[np.int64], Array, Array]:
-        """Return each sample's recording [M], the gap's change with a zero, per rad or m [M], and its squares [K]."""
-        names = list(dict.fromkeys(recordings))
-        of = np.array([names.index(name) for name in recordings])[self.trial]
+    def _zeros_of(self, trials: Sequence[Trial]) -> Zeros:
         moved, raw = self._raw_gaps([{f"{self.stage}.sensor_bias.bias": self._zero}, {}])
-        change = np.nan_to_num(moved - raw) / self._zero
-        return of, change, np.maximum(np.bincount(of, change**2), 1e-30)
-
-    def _zeros_apart(self, raw: Array) -> Array:
-        """Return the zero of each recording beside their mean that explains values [P, M] best, rad or m, [P, K]."""
-        of, change, squares = self._apart
-        weighted = np.where(np.isnan(raw), 0.0, -change * raw)
-        products = np.stack([weighted[:, of == k].sum(axis=1) for k in range(len(squares))], axis=1)
-        most = ZERO_APART * self._zero
-        return np.asarray(
-            np.clip(products / squares - products.sum(axis=1, keepdims=True) / squares.sum(), -most, most)
-        )
+        change = (moved - raw) / self._zero
+        return Zeros.of([t.recording or t.name for t in trials], self.trial, change, self._zero)
 
     def _substeps(self) -> int:
         """Return the integration steps per sample: no longer than the model's own, and fine enough for its loop."""
@@ -380,7 +366,7 @@ class JointView(RigView):
 
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
-        zeros, found = self._zeros_apart(self._raw_gaps([point])), [*self.assumptions]
+        found = [*self.assumptions]
         if self._known[CREEP]:
             found.append(
                 f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
@@ -392,7 +378,7 @@ class JointView(RigView):
                 f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples "
                 f"and are {done}; record at a higher rate, or move fewer joints at once"
             )
-        if (apart := np.ptp(zeros)) > self._zero and np.abs(zeros).max() < ZERO_APART * self._zero:
+        if apart := self._zeros.apart(self._raw_gaps([point])):
             found.append(
                 f"{self.stage}: its zero differs between recordings by {apart:.2g} {self.unit}; no effect explains it, "
                 "and the gap leaves out; set the zero against a stop at each start, not in a pose that friction holds"
@@ -438,9 +424,7 @@ class JointView(RigView):
 
     def _gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
         """Return the gaps [P, M, 1]; terms: rigid-body terms to start from, instead of the own."""
-        raw = self._raw_gaps(points, terms)
-        of, change, _ = self._apart
-        return (raw + self._zeros_apart(raw)[:, of] * change)[..., None]
+        return self._zeros.without(self._raw_gaps(points, terms))[..., None]
 
     def _raw_gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
         """Return the gaps [P, M] with one zero for all recordings."""
