@@ -203,7 +203,7 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
             losses.append(explained if explained < MOST * alone else alone)
         view.assume(path, other if losses[1] < MOST * losses[0] else usual)
         if view.nominal(path) != usual:
-            view.measure_floor()
+            view.measure_noise()
     return setup()
 
 

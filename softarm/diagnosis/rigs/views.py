@@ -184,8 +184,14 @@ class RigView:
         """Set 'effect.parameter' of the nominal model."""
         self._known[path] = value
 
-    def measure_floor(self) -> None:
-        """Measure the noise floor again, next to another law of the nominal model."""
+    def measure_noise(self) -> None:
+        """Measure noise floor and usable samples again, next to another law of the nominal model."""
+
+    def adopt(self, assumed: Mapping[str, float]) -> None:
+        """Assume the settled values of another view of the stage, and measure the noise next to these."""
+        for path, value in assumed.items():
+            self.assume(path, value)
+        self.measure_noise()
 
     @property
     def assumed(self) -> Mapping[str, float]:

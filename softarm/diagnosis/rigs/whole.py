@@ -73,8 +73,7 @@ def judged(
 def _made(trials: Sequence[Trial], finding: Finding) -> tuple[RigView, Stretches]:
     """Return the view of all data of a stage, with the settled values of its finding, and its windows."""
     view, windows = view_of(trials)
-    for path, value in finding.assumed.items():
-        view.assume(path, value)
+    view.adopt(finding.assumed)
     return view, windows
 
 
@@ -133,8 +132,7 @@ def _judged(
 def _on(stretches: Stretches, view: RigView) -> RigView:
     """Return a view of some stretches with the assumptions of another view."""
     found = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
-    for path, value in view.assumed.items():
-        found.assume(path, value)
+    found.adopt(view.assumed)
     return found
 
 

@@ -1,13 +1,14 @@
 """Measured motion of the other joints of a mechanism, which loads a joint."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
-from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Course, Joint, Mechanism
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 from softarm.diagnosis.rigs.scales import white_noise
 
@@ -15,9 +16,47 @@ from softarm.diagnosis.rigs.scales import white_noise
 Around = Mapping[str, tuple[Array, Array, Array]]
 
 
-def measured(mechanism: Mechanism, joint: Joint, trials: Sequence[Trial], own: Sequence[Motion]) -> list[Around]:
-    """Return the motion of the other measured columns of each trial, on the grid of the joint's own motion."""
-    return [_measured(mechanism, joint, trial, m.grid) for trial, m in zip(trials, own, strict=True)]
+class OtherJoints:
+    """Measured motion of the other joints in every trial of a joint.
+
+    Attributes:
+        around: motion of the other measured columns of each trial, on the grid of the joint's own motion.
+        courses: motion of the whole model in each trial.
+        disturbed: rigid-body terms [ROWS, M] with more noise, or smoothing, of the other joints; see `_disturbed`.
+    """
+
+    def __init__(self, mechanism: Mechanism, joint: Joint, trials: Sequence[Trial], own: Sequence[Motion]) -> None:
+        """Prepare the motion of the whole model; own: motion of the joint in each trial."""
+        self._mechanism, self._joint, self._own = mechanism, joint, own
+        self.around = [_measured(mechanism, joint, trial, m.grid) for trial, m in zip(trials, own, strict=True)]
+        self.courses = self._courses(own, self.around)
+        self.disturbed = cache(self._disturbed)
+
+    def terms_along(self, own: Sequence[Motion]) -> list[Array]:
+        """Return the rigid-body terms of each trial along another motion of the joint, [ROWS, T]."""
+        return [self._mechanism.terms(self._joint, course) for course in self._courses(own, self.around)]
+
+    def _disturbed(self, noisy: bool, smooth: bool) -> Array:
+        """Return the rigid-body terms with other motion of the other joints, [ROWS, M].
+
+        Args:
+            noisy: whether their positions have once more the noise that they have.
+            smooth: whether their accelerations are averaged over three samples.
+        """
+        around, random = self.around, np.random.default_rng(0)
+        if noisy:
+            around = [_noisy(each, m.grid.step_s, random) for each, m in zip(around, self._own, strict=True)]
+        if smooth:
+            around = [_smooth(each) for each in around]
+        courses = self._courses(self._own, around)
+        return np.concatenate([self._mechanism.terms(self._joint, course) for course in courses], axis=1)
+
+    def _courses(self, own: Sequence[Motion], around: Sequence[Around]) -> list[Course]:
+        found = []
+        for m, each in zip(own, around, strict=True):
+            motion = {self._joint.name: (m.position, m.speed, m.acceleration)}
+            found.append(self._mechanism.course(self._joint, {**motion, **each}))
+        return found
 
 
 def _measured(mechanism: Mechanism, joint: Joint, trial: Trial, grid: Grid) -> Around:
@@ -34,16 +73,9 @@ def _measured(mechanism: Mechanism, joint: Joint, trial: Trial, grid: Grid) -> A
     return found
 
 
-def smooth(around: Around) -> Around:
-    """Return the motion with accelerations that are averaged over three samples."""
+def _smooth(around: Around) -> Around:
     third = np.full(3, 1 / 3)
     return {name: (x, v, np.convolve(a, third, "same")) for name, (x, v, a) in around.items()}
-
-
-def noisy(around: Sequence[Around], steps_s: Sequence[float]) -> list[Around]:
-    """Return the motion of each trial with once more the noise of its positions; steps_s: spacing of the samples, s."""
-    random = np.random.default_rng(0)
-    return [_noisy(each, step_s, random) for each, step_s in zip(around, steps_s, strict=True)]
 
 
 def _noisy(around: Around, step_s: float, random: np.random.Generator) -> Around:

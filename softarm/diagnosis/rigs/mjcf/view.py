@@ -23,11 +23,12 @@ from softarm.diagnosis.rigs.grid import (
     usual_step,
 )
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks, others, own_errors
+from softarm.diagnosis.rigs.mjcf import checks, own_errors
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.compared import compared
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
-from softarm.diagnosis.rigs.mjcf.mechanism import Course, mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
+from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost
@@ -49,7 +50,7 @@ from softarm.diagnosis.rigs.motion import (
     window_lengths,
     within_windows,
 )
-from softarm.diagnosis.rigs.scales import white_noise
+from softarm.diagnosis.rigs.scales import SIGMAS, white_noise
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values
 
 # Growth of an error within a window of a joint that falls, such as an upright arm under torque commands.
@@ -99,15 +100,18 @@ class JointView(RigView):
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._sent = self._sampled_commands()
-        self._around = others.measured(self._mechanism, joint, trials, self._motions)
-        self._courses = self._courses_with(self._around)
-        self._terms = [slopes(self._mechanism, joint, course) for course in self._courses]
+        self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
+        self._terms = [slopes(self._mechanism, joint, course) for course in self._others.courses]
         self._torques = Torques(self._terms, self._motions)
-        self._held = [self._mechanism.held(joint, course) for course in self._courses]
+        self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
         unlike = self._refuse_mistakes(trials)
-        self.assumptions = (*checks.assumptions(self._mechanism, joint, self._around[0]), *self._stuck(), *unlike)
+        self.assumptions = (
+            *checks.assumptions(self._mechanism, joint, self._others.around[0]),
+            *self._stuck(),
+            *unlike,
+        )
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
@@ -134,8 +138,9 @@ class JointView(RigView):
         self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
-        self.measure_floor()
-        self._unsure = self._without_unsure()
+        self._free = np.isfinite(self.measured[:, 0])
+        self._unsure = np.zeros_like(self._free)
+        self.measure_noise()
         self._zeros = self._zeros_of(trials)
 
     def assume(self, path: str, value: float) -> None:
@@ -146,15 +151,29 @@ class JointView(RigView):
             friction = self._frictions[bool(value)]
             self.effects = tuple(friction if effect.name == friction.name else effect for effect in self.effects)
 
-    def measure_floor(self) -> None:
-        """Measure the noise floor, which noise of the other joints' readings raises if it is not small.
+    def measure_noise(self) -> None:
+        """Measure the noise floor, and leave out samples that depend on motion of the other joints between samples.
 
-        A light joint, such as a wrist, follows the accelerations of the joints that carry it. Friction that creeps
-        yields to their peaks, which do not average out then.
+        Noise of the other joints' readings raises the floor if it is not small: a light joint, such as a wrist, follows
+        the accelerations of the joints that carry it. Friction that creeps yields to their peaks, which do not average
+        out then. A sample depends on motion between samples if it moves by more than the floor when these accelerations
+        are smoothed, and by more than their noise alone explains. If the majority does, all are kept.
         """
-        own, noisy = self._own_floor, others.noisy(self._around, [m.grid.step_s for m in self._motions])
-        noise = rms(self._moved(noisy)) if any(noisy) else 0.0
-        self.floor = np.array([np.hypot(own, noise if noise > FELT_NOISE * own else 0.0)])
+        if not any(self._others.around):
+            self.floor = np.array([self._own_floor])
+            return
+        noise, smooth = self._moved(noisy=True), self._moved(smooth=True)
+        self.floor = self._raised_floor(noise)
+        large = np.abs(smooth) > self.floor[0]
+        if large.any():
+            large &= np.abs(smooth) > SIGMAS * rms(self._moved(noisy=True, smooth=True) - noise - smooth)
+            self._leave_out(large)
+            self.floor = self._raised_floor(noise[np.isfinite(self.measured[:, 0])])
+
+    def _raised_floor(self, noise: Array) -> Array:
+        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints."""
+        own, felt = self._own_floor, rms(noise)
+        return np.array([np.hypot(own, felt if felt > FELT_NOISE * own else 0.0)])
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
@@ -167,40 +186,25 @@ class JointView(RigView):
         fastest = float(np.quantile(np.concatenate(falls), 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
-    def _courses_with(self, around: Sequence[others.Around], along: Sequence[Motion] = ()) -> list[Course]:
-        """Return the motion of the whole model in each trial with a motion of the other joints, and of its own."""
-        found = []
-        for m, each in zip(along or self._motions, around, strict=True):
-            own = {self._joint.name: (m.position, m.speed, m.acceleration)}
-            found.append(self._mechanism.course(self._joint, {**own, **each}))
-        return found
-
-    def _moved(self, changed: Sequence[others.Around]) -> Array:
-        """Return how the nominal gap changes if other joints of each trial move otherwise, for free starts, [M]."""
-        courses = self._courses_with(changed)
-        terms = [self._mechanism.terms(self._joint, course) for course in courses]
+    def _moved(self, *, noisy: bool = False, smooth: bool = False) -> Array:
+        """Return how the nominal gap changes with noise or smoothing of the other joints, for free starts, [M]."""
         own, simulation = self._values([{}]), self._simulation
-        moved = simulation.residuals(own, np.concatenate(terms, axis=1)) - simulation.residuals(own)
+        moved = simulation.residuals(own, self._others.disturbed(noisy, smooth)) - simulation.residuals(own)
         simulation.free_starts(moved)
         return np.asarray(moved[0])
 
-    def _without_unsure(self) -> float:
-        """Take out samples that depend on motion of the other joints between samples, and return their share.
-
-        Such a sample moves by more than the noise floor if the other joints' accelerations are smoothed. If the
-        majority does, all are kept.
-        """
-        smooth = [others.smooth(around) for around in self._around]
-        if not any(smooth):
-            return 0.0
-        large = np.abs(self._moved(smooth)) > self.floor[0]
+    def _leave_out(self, large: NDArray[np.bool_]) -> None:
+        """Leave out samples [M] with a margin, unless these are the majority."""
         trials = zip(slices(self.trial), self._motions, strict=True)
-        unsure = np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
-        share = float(unsure[np.isfinite(self.measured[:, 0])].mean())
-        if share <= UNSURE_MOST:
-            self.measured[unsure] = np.nan
-            self._simulation.leave_out(unsure)
-        return share
+        self._unsure |= np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
+        if self._unsure_share <= UNSURE_MOST:
+            self.measured[self._unsure] = np.nan
+            self._simulation.leave_out(self._unsure)
+
+    @property
+    def _unsure_share(self) -> float:
+        """Share of the samples that depend on motion of the other joints between samples."""
+        return float(self._unsure[self._free].mean())
 
     @property
     def _zero(self) -> float:
@@ -280,9 +284,8 @@ class JointView(RigView):
 
     def _terms_along(self, along: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along a motion of the joint, [ROWS, T]."""
-        if along is self._motions:
-            return [terms.base for terms in self._terms]
-        return [self._mechanism.terms(self._joint, each) for each in self._courses_with(self._around, along)]
+        own = along is self._motions
+        return [terms.base for terms in self._terms] if own else self._others.terms_along(along)
 
     def _stuck(self) -> list[str]:
         if self._actuator is None or not self._actuator.kp > 0:
@@ -372,10 +375,10 @@ class JointView(RigView):
                 f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
                 "holds: the recordings may come from a simulation"
             )
-        if self._unsure > UNSURE_WARNED:
-            done = "left out" if self._unsure <= UNSURE_MOST else "kept, and sizes are less certain"
+        if (unsure := self._unsure_share) > UNSURE_WARNED:
+            done = "left out" if unsure <= UNSURE_MOST else "kept, and sizes are less certain"
             found.append(
-                f"{self.stage}: {self._unsure:.0%} of the samples depend on motion of other joints between two samples "
+                f"{self.stage}: {unsure:.0%} of the samples depend on motion of other joints between two samples "
                 f"and are {done}; record at a higher rate, or move fewer joints at once"
             )
         if apart := self._zeros.apart(self._raw_gaps([point])):
@@ -404,14 +407,14 @@ class JointView(RigView):
     @property
     def _own_errors(self) -> dict[str, float]:
         of_mass = OF_OWN if self._scales.mass else 0.0
-        return own_errors.shares(self._mechanism, self._joint, of_mass, any(self._around))
+        return own_errors.shares(self._mechanism, self._joint, of_mass, any(self._others.around))
 
     @cached_property
     def _with_own_errors(self) -> list[Array]:
         """Rigid-body terms with each of these errors, [ROWS, M] each."""
-        model, joint, motions, around = self._mechanism, self._joint, self._motions, self._around
-        found = self._own_errors.items()
-        return [own_errors.terms(model, joint, name, size, motions, around, self._courses) for name, size in found]
+        model, joint, motions, around = self._mechanism, self._joint, self._motions, self._others.around
+        courses, found = self._others.courses, self._own_errors.items()
+        return [own_errors.terms(model, joint, name, size, motions, around, courses) for name, size in found]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

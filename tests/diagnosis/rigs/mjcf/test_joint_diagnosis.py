@@ -355,10 +355,10 @@ HANGING = """<mujoco>
 </mujoco>"""
 
 
-def hand(folder, dry, load=""):
+def hand(folder, dry, load="", *, noise=5e-4, wave=np.sin):
     """Return the trials of a hand with a fine encoder, whose load depends on the coarse one of the upper arm.
 
-    load: body in the hand that its model lacks.
+    load: body in the hand that its model lacks; noise: of the coarse encoder, rad; wave: of the arm's command.
     """
     text, place = HANGING.format(dry=dry), 'diaginertia="1e-4 1e-4 1e-4"/>'
     assert place in text
@@ -368,8 +368,8 @@ def hand(folder, dry, load=""):
         data, rows = mujoco.MjData(model), []
         for k in range(1500):
             t = 0.01 * k
-            data.ctrl[0] = 0.3 * np.sin(3 * t + number) + 0.2 * np.sin(4.7 * t)
-            rows.append((t, data.ctrl[0], data.qpos[0] + 5e-4 * random.normal(), np.round(data.qpos[1], 5)))
+            data.ctrl[0] = 0.3 * wave(3 * t + number) + 0.2 * np.sin(4.7 * t)
+            rows.append((t, data.ctrl[0], data.qpos[0] + noise * random.normal(), np.round(data.qpos[1], 5)))
             mujoco.mj_step(model, data, nstep=10)
         np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
     columns = "upper: {source: upper, unit: rad}, hand: {source: hand, unit: rad}"
@@ -387,6 +387,19 @@ def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it
     left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
     assert left > 5e-5
     assert 0.7 * left < view.floor[0] < 1.5 * left
+
+
+def test_noise_of_another_joint_is_no_motion_between_samples(tmp_path):
+    view, _ = view_of(hand(tmp_path, dry=0.0))
+    assert np.isfinite(view.measured).mean() > 0.9
+    assert not any("between two samples" in warning for warning in view.warnings({}))
+
+
+def test_steps_of_another_joint_between_samples_are_left_out_beside_its_noise(tmp_path):
+    view, _ = view_of(hand(tmp_path, dry=0.0, wave=lambda phase: np.sign(np.sin(phase))))
+    (told,) = (warning for warning in view.warnings({}) if "between two samples" in warning)
+    assert "left out" in told
+    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < view.floor[0]
 
 
 def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
