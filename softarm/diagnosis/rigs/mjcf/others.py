@@ -8,7 +8,7 @@ import numpy as np
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
-from softarm.diagnosis.rigs.mjcf.mechanism import Course, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 from softarm.diagnosis.rigs.scales import white_noise
 
@@ -32,6 +32,10 @@ class OtherJoints:
         self.courses = self._courses(own, self.around)
         self.disturbed = cache(self._disturbed)
 
+    def terms(self, change: Change) -> Array:
+        """Return the rigid-body terms of all trials one after the other with changed bodies, [ROWS, M]."""
+        return self._terms(self.courses, change)
+
     def terms_along(self, own: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along another motion of the joint, [ROWS, T]."""
         return [self._mechanism.terms(self._joint, course) for course in self._courses(own, self.around)]
@@ -48,8 +52,10 @@ class OtherJoints:
             around = [_noisy(each, m.grid.step_s, random) for each, m in zip(around, self._own, strict=True)]
         if smooth:
             around = [_smooth(each) for each in around]
-        courses = self._courses(self._own, around)
-        return np.concatenate([self._mechanism.terms(self._joint, course) for course in courses], axis=1)
+        return self._terms(self._courses(self._own, around), Change())
+
+    def _terms(self, courses: Sequence[Course], change: Change) -> Array:
+        return np.concatenate([self._mechanism.terms(self._joint, course, change) for course in courses], axis=1)
 
     def _courses(self, own: Sequence[Motion], around: Sequence[Around]) -> list[Course]:
         found = []

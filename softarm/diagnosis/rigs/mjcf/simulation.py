@@ -12,7 +12,7 @@ from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes, joined
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes
 from softarm.diagnosis.rigs.motion import Motion, directions
 
 # Step of the numerical derivative by a window's start, in its uncertainty.
@@ -45,7 +45,7 @@ class JointSimulation:
         self,
         joint: Joint,
         actuator: Actuator | None,
-        terms: Sequence[Slopes],
+        slopes: Slopes,
         motions: Sequence[Motion],
         inputs: Sequence[tuple[Array, Array]],
         each: int,
@@ -55,14 +55,14 @@ class JointSimulation:
         Args:
             joint: the joint.
             actuator: its actuator, or None.
-            terms: rigid-body terms of each trial.
+            slopes: rigid-body terms of all trials, and their changes.
             motions: measured motion of each trial.
             inputs: stamps and integral of each trial's command; empty without an actuator.
             each: integration steps per sample.
         """
         self._joint, self._actuator, self._motions = joint, actuator, motions
         self._inputs, self._each = inputs, each
-        self._slopes = joined(terms)
+        self._slopes = slopes
         self._drives = lru_cache(64)(self._driven)
 
     def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:

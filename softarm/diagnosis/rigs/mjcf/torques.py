@@ -1,6 +1,6 @@
 """Torques that the measured motion of a joint needs, and how they change with bodies and base."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,22 +18,24 @@ TILT_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Torques:
-    """Torques of one joint along the motion of all its recordings, [T of all recordings]; without friction."""
+    """Torques of one joint along the motion of all its recordings, [M]; without friction."""
 
-    terms: Sequence[Slopes]  # rigid-body terms of each recording
+    slopes: Slopes  # rigid-body terms of all recordings, and their changes
     motions: Sequence[Motion]
 
-    def total(self, terms: Iterable[Array]) -> Array:
-        """Return the torque with the joint's own acceleration; terms: [ROWS, T] of each recording."""
-        return np.concatenate([torque(each, motion) for each, motion in zip(terms, self.motions, strict=True)])
+    def total(self, terms: Array) -> Array:
+        """Return the torque with the joint's own acceleration; terms: [ROWS, M]."""
+        parts = zip(split(terms, self.motions), self.motions, strict=True)
+        return np.concatenate([torque(each, motion) for each, motion in parts])
 
-    def load(self, terms: Iterable[Array]) -> Array:
-        """Return the torque without the joint's own acceleration; terms: [ROWS, T] of each recording."""
-        return np.concatenate([load(each, motion) for each, motion in zip(terms, self.motions, strict=True)])
+    def load(self, terms: Array) -> Array:
+        """Return the torque without the joint's own acceleration; terms: [ROWS, M]."""
+        parts = zip(split(terms, self.motions), self.motions, strict=True)
+        return np.concatenate([load(each, motion) for each, motion in parts])
 
     def tilted(self) -> Mapping[str, Array]:
         """Return the torque per rad of the base's tilt, by axis."""
-        return {axis: self.load(each.tilted[axis] for each in self.terms) for axis in self.terms[0].tilted}
+        return {axis: self.load(self.slopes.tilted(axis)) for axis in self.slopes.axes}
 
     def like_tilt(self, axes: Sequence[str], follows: bool) -> str:
         """Return the effect whose torque is that of a tilted base, or an empty string.
@@ -42,7 +44,7 @@ class Torques:
             axes: axes about which a tilt loads the joint.
             follows: whether a position loop drives the joint.
         """
-        falls = np.concatenate([terms.base[laws.BY_POSITION] for terms in self.terms])
+        falls = self.slopes.base[laws.BY_POSITION]
         constant = "command_bias" if follows else "torque_offset"
         tilted = self.tilted()
         for name, other in (("sensor_bias", falls), (constant, np.ones_like(falls))):
@@ -50,6 +52,11 @@ class Torques:
             if alike and all(alike):
                 return name
         return ""
+
+
+def split(terms: Array, motions: Sequence[Motion]) -> list[Array]:
+    """Return the terms [ROWS, T] of each recording; terms: of all recordings, [ROWS, M]."""
+    return np.split(terms, np.cumsum([len(m.seen) for m in motions])[:-1], axis=1)
 
 
 def load(terms: Array, motion: Motion) -> Array:

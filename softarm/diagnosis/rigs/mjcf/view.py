@@ -30,8 +30,8 @@ from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
-from softarm.diagnosis.rigs.mjcf.slopes import slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost
+from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
+from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
@@ -101,8 +101,8 @@ class JointView(RigView):
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._sent = self._sampled_commands()
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._terms = [slopes(self._mechanism, joint, course) for course in self._others.courses]
-        self._torques = Torques(self._terms, self._motions)
+        self._slopes = Slopes(self._mechanism, joint, self._others.terms)
+        self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
@@ -127,7 +127,7 @@ class JointView(RigView):
         self._each = self._substeps()
         out = [self._out(k) for k in range(len(trials))]
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
-        signals = [self._signals(k) for k in range(len(trials))]
+        signals = [self._signals(k, base) for k, base in enumerate(self._terms_along(self._motions))]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
         if any(each.any() for each in out):
             self._refuse_touching(seen, trials)
@@ -135,7 +135,7 @@ class JointView(RigView):
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self._own_floor = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
-        self._simulation = JointSimulation(joint, self._actuator, self._terms, self._motions, self._inputs, self._each)
+        self._simulation = JointSimulation(joint, self._actuator, self._slopes, self._motions, self._inputs, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
         self._free = np.isfinite(self.measured[:, 0])
@@ -182,8 +182,8 @@ class JointView(RigView):
     def _unstable_s(self) -> float:
         """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
         held = self._joint.spring + (self._actuator.kp if self._actuator is not None else 0.0)
-        falls = [-(terms.base[laws.BY_POSITION] + held) / terms.base[laws.INERTIA] for terms in self._terms]
-        fastest = float(np.quantile(np.concatenate(falls), 0.9))
+        base = self._slopes.base
+        fastest = float(np.quantile(-(base[laws.BY_POSITION] + held) / base[laws.INERTIA], 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
 
     def _moved(self, *, noisy: bool = False, smooth: bool = False) -> Array:
@@ -285,7 +285,7 @@ class JointView(RigView):
     def _terms_along(self, along: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along a motion of the joint, [ROWS, T]."""
         own = along is self._motions
-        return [terms.base for terms in self._terms] if own else self._others.terms_along(along)
+        return split(self._slopes.base, along) if own else self._others.terms_along(along)
 
     def _stuck(self) -> list[str]:
         if self._actuator is None or not self._actuator.kp > 0:
@@ -296,12 +296,13 @@ class JointView(RigView):
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
-        torques, terms = self._torques, self._terms
-        needed, loads = torques.total(x.base for x in terms), np.abs(torques.load(x.base for x in terms))
-        longer = torques.total(x.longer[-1] for x in terms) if self._mechanism.carries(joint) else np.zeros(1)
-        heavier, loaded = torques.total(x.heavier for x in terms), torques.total(x.loaded[-1] for x in terms)
+        torques, slopes = self._torques, self._slopes
+        reach_m, carries = slopes.distances_m[-1], self._mechanism.carries(joint)
+        needed, loads = torques.total(slopes.base), np.abs(torques.load(slopes.base))
+        longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if carries else np.zeros(1)
+        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded(reach_m))
         felt = FELT * rms(needed)
-        inertia = float(np.mean(np.concatenate([x.base[laws.INERTIA] for x in terms])))
+        inertia = float(np.mean(slopes.base[laws.INERTIA]))
         floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least
         return JointScales(
             joint=joint,
@@ -314,7 +315,7 @@ class JointView(RigView):
             mass=float(rms(heavier) > felt),
             payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
             moving_kg=self._mechanism.moving_kg(joint),
-            reach=terms[0].distances_m[-1],
+            reach=reach_m,
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
             inertia=inertia,
@@ -452,13 +453,13 @@ class JointView(RigView):
                 seen[first:end] = np.nan
         return seen
 
-    def _signals(self, k: int) -> dict[str, Array]:
-        """Features for a flexible model of the residual."""
+    def _signals(self, k: int, terms: Array) -> dict[str, Array]:
+        """Return a trial's features for a flexible model of the residual; terms: its rigid-body terms, [ROWS, T]."""
         m, edges = self._motions[k], self._edges[k]
         t, v = m.grid.t_s, m.speed
         direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
         signals = {
-            "torque": load(self._terms[k].base, m),
+            "torque": load(terms, m),
             "speed": v,
             "direction": direction,
             "position": m.position,
