@@ -171,8 +171,8 @@ class JointView(RigView):
             self.floor = self._raised_floor(noise[np.isfinite(self.measured[:, 0])])
 
     def _raised_floor(self, noise: Array) -> Array:
-        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints."""
-        own, felt = self._own_floor, rms(noise)
+        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints, which the gap has."""
+        own, felt = self._own_floor, min(rms(noise), rms(self._raw_gaps([{}])))
         return np.array([np.hypot(own, felt if felt > FELT_NOISE * own else 0.0)])
 
     def part(self, effect: str) -> str:
