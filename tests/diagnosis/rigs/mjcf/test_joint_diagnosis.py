@@ -392,13 +392,13 @@ def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it
 def test_noise_of_another_joint_is_no_motion_between_samples(tmp_path):
     view, _ = view_of(hand(tmp_path, dry=0.0))
     assert np.isfinite(view.measured).mean() > 0.9
-    assert not any("between two samples" in warning for warning in view.warnings({}))
+    assert not any("between two samples" in each for each in view.warnings({}))
 
 
 def test_steps_of_another_joint_between_samples_are_left_out_beside_its_noise(tmp_path):
     view, _ = view_of(hand(tmp_path, dry=0.0, wave=lambda phase: np.sign(np.sin(phase))))
-    (told,) = (warning for warning in view.warnings({}) if "between two samples" in warning)
-    assert "left out" in told
+    (warning,) = (each for each in view.warnings({}) if "between two samples" in each)
+    assert "left out" in warning
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < view.floor[0]
 
 
