@@ -16,11 +16,10 @@ REPORTED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Zeros:
-    """Linear change of a joint's M gaps with a zero of each of K recordings; their mean zero stays a gap."""
+    """Linear change of a joint's M gaps with a zero of each of K recordings; their mean stays a gap."""
 
     recording: NDArray[np.int64]  # of each sample, [M]
     change: Array  # of the gap per rad or m of a zero, [M]
-    squares: Array  # of this change in each recording, [K]
     good: float  # error of a good zero, rad or m
 
     @classmethod
@@ -33,9 +32,8 @@ class Zeros:
             change: change of the gap with a zero, per rad or m; NaN where no sample was measured [M].
             good: error of a good zero, rad or m.
         """
-        names, known = list(dict.fromkeys(recordings)), np.nan_to_num(change)
-        recording = np.array([names.index(name) for name in recordings])[trial]
-        return cls(recording, known, np.maximum(np.bincount(recording, known**2), 1e-30), good)
+        names = list(dict.fromkeys(recordings))
+        return cls(np.array([names.index(name) for name in recordings])[trial], np.nan_to_num(change), good)
 
     def without(self, gaps: Array) -> Array:
         """Return gaps [P, M] without the zeros that explain them best, [P, M]."""
@@ -50,7 +48,9 @@ class Zeros:
 
     def _best(self, gaps: Array) -> Array:
         """Return the zero of each recording beside their mean that explains gaps [P, M] best, rad or m, [P, K]."""
-        weighted = np.where(np.isnan(gaps), 0.0, -self.change * gaps)
-        products = np.stack([weighted[:, self.recording == k].sum(axis=1) for k in range(len(self.squares))], axis=1)
-        mean = products.sum(axis=1, keepdims=True) / self.squares.sum()
-        return np.asarray(np.clip(products / self.squares - mean, -APART * self.good, APART * self.good))
+        change = np.where(np.isnan(gaps[0]), 0.0, self.change)
+        squares = np.maximum(np.bincount(self.recording, change**2), 1e-30)
+        explained = -change * np.nan_to_num(gaps)
+        products = np.stack([explained[:, self.recording == k].sum(axis=1) for k in range(len(squares))], axis=1)
+        mean = products.sum(axis=1, keepdims=True) / squares.sum()
+        return np.asarray(np.clip(products / squares - mean, -APART * self.good, APART * self.good))
