@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
@@ -18,7 +19,7 @@ BEYOND = 0.25
 TOGETHER, SAME = 0.6, 0.85
 # Ratios of the needed to the given torque that no effect explains. A payload on a light wrist makes the second large.
 FAR, FAR_LESS = 3.0, 1 / 50
-# Share of the unexplained square that another description may leave at most, and correlations that count as equal.
+# Share of a square that another description, or the effects of a good one, may leave; correlations that count as equal.
 LEFT, AS_WELL = 0.25, 0.05
 # Share of a torque's variation that the motion explains, at least, without a warning.
 ALIKE_LEAST = 0.5
@@ -59,7 +60,9 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
     if _is_far_better(resembles, together) and resembles > opposite:
         yield f"{where}: {_other_kind(joint)}"
     elif _is_far_better(opposite, together) or _is_turned(joint, together, signals):
-        yield f"{where}: {_opposite(joint, together, mirrored)}"
+        turned = signals.mirrored() if mirrored > -together else -needed
+        if follows or _left(signals, turned) < LEFT * _left(signals, needed, seen):  # a strong spring turns it as well
+            yield f"{where}: {_opposite(joint, together, mirrored)}"
     elif follows and joint.turns:
         ratio = float(np.std(seen) / np.std(command))
         for of, times in (("measured", ratio), ("command", 1 / ratio)):
@@ -68,7 +71,8 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
     elif not follows and together > TOGETHER:
         small = np.abs(command) <= np.median(np.abs(command))  # a torque limit leaves these alone
         times, near = (_times(*(x[part] for x in (command, answer, friction))) for part in (slice(None), small))
-        if all(each > FAR or 0 < each < FAR_LESS for each in (times, near)):
+        far = all(each > FAR or 0 < each < FAR_LESS for each in (times, near))
+        if far and _left(signals, needed) < LEFT:  # a wrong zero of a joint makes large torques of another form
             yield (
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
@@ -84,15 +88,10 @@ def unlike(joint: Joint, signals: Compared) -> Iterator[str]:
     """
     if joint.follows:
         return
-    command, needed, friction = (x - np.mean(x, axis=0) for x in (signals.command, signals.needed, signals.friction))
-    known = np.column_stack((needed, friction))
-    if (weights := np.linalg.lstsq(known, command)[0])[0] < 0:  # the opposite of the needed torque explains nothing
-        known, weights = friction, np.linalg.lstsq(friction, command)[0]
-    left = command - known @ weights
-    share = 1 - float(left @ left) / max(float(command @ command), 1e-300)
-    if share < ALIKE_LEAST:
+    share = 1 - _left(signals, signals.needed)
+    if share < ALIKE_LEAST and _left(signals, signals.needed, signals.seen) > LEFT:  # a spring explains the others
         yield (
-            f"{joint.name}: by the model, its motion explains {100 * max(share, 0.0):.0f} % of the variation of its "
+            f"{joint.name}: by the model, its motion explains {100 * share:.0f} % of the variation of its "
             "torque; check that its columns belong to this joint, and the zeros and signs of all joints"
         )
 
@@ -134,6 +133,15 @@ def _times(command: Array, needed: Array, friction: Array) -> float:
     if own < OWN * float(needed @ needed) or left_alone < RUBBING * left:
         return 1.0
     return float(1 / share[0])
+
+
+def _left(signals: Compared, *torques: Array) -> float:
+    """Return the share of the given torque's square that positive multiples of torques and any friction leave."""
+    command, friction = signals.command, signals.friction
+    known = np.column_stack((*torques, friction, np.ones_like(command)))
+    low = np.repeat((0.0, -np.inf), (len(torques), known.shape[1] - len(torques)))
+    squares = 2 * lsq_linear(known, command, (low, np.inf)).cost
+    return float(squares / np.sum((command - command.mean()) ** 2))
 
 
 def stuck(joint: Joint, seen: Array, command: Array) -> Iterator[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes
+from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes, unlike
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import view_of
@@ -244,3 +244,27 @@ def test_friction_that_takes_most_of_the_torque_is_no_wrong_unit():
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     assert list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, command, needed))) == []
     assert len(list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, 1000 * command, needed)))) == 1
+
+
+@pytest.mark.parametrize(("stiffness", "refused"), [(40.0, False), (0.0, True)])
+def test_a_strong_spring_is_no_opposite_sign(stiffness, refused):
+    """A spring turns the torque against the acceleration, as readings of the opposite sign do."""
+    t_s = np.linspace(0.0, 20.0, 2000)
+    waves = [(w, np.sin(w * t_s + w)) for w in (4.0, 4.5, 5.0)]
+    seen, acceleration = sum(wave for _, wave in waves), sum(-(w**2) * wave for w, wave in waves)
+    command = acceleration + stiffness * seen if stiffness else -acceleration
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    found = signals(seen, np.gradient(seen, t_s), command, acceleration)
+    assert np.corrcoef(command, -acceleration)[0, 1] > 0.85
+    assert bool(list(mistakes(hip, "run.csv", found))) == refused
+    assert not list(unlike(hip, found))
+
+
+@pytest.mark.parametrize(("alike", "refused"), [(0.65, False), (0.95, True)])
+def test_a_torque_of_another_form_is_no_wrong_unit(alike, refused):
+    """A joint whose zero is off by a right angle has ten times its torque in the model, and another one."""
+    command, other, seen = np.random.default_rng(4).normal(size=(3, 5000))
+    needed = 10 * (alike * command + np.sqrt(1 - alike**2) * other)
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    found = signals(seen, np.gradient(seen), command, needed)
+    assert bool(list(mistakes(hip, "run.csv", found))) == refused
