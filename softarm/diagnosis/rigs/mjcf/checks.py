@@ -137,11 +137,13 @@ def _times(command: Array, needed: Array, friction: Array) -> float:
 
 def _left(signals: Compared, *torques: Array) -> float:
     """Return the share of the given torque's square that positive multiples of torques and any friction leave."""
-    command, friction = signals.command, signals.friction
-    known = np.column_stack((*torques, friction, np.ones_like(command)))
+    command, known = signals.command, np.column_stack((*torques, signals.friction))
+    if np.ptp(command) <= 0:
+        return 0.0
+    target, known = command - command.mean(), known - known.mean(axis=0)
     low = np.repeat((0.0, -np.inf), (len(torques), known.shape[1] - len(torques)))
-    squares = 2 * lsq_linear(known, command, (low, np.inf)).cost
-    return float(squares / np.sum((command - command.mean()) ** 2))
+    scaled = known / np.maximum(known.std(axis=0), 1e-300)
+    return float(2 * lsq_linear(scaled, target / target.std(), (low, np.inf)).cost / len(target))
 
 
 def stuck(joint: Joint, seen: Array, command: Array) -> Iterator[str]:

@@ -259,12 +259,12 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
         )
     if math.isfinite(s.payload):
         place = shape("distance", "m", s.reach, 0.0, 2 * s.reach, s.reach, "from the last joint, along its link")
-        most = max(s.payload, CARRIED * s.moving_kg)
+        full = max(s.payload, CARRIED * s.moving_kg)
         yield like(
             "arm.payload",
             "extra mass at the end of the mechanism",
             "{mass} extra hang at the end, behind {stage}",
-            strength("mass", "kg", 0.0, 0.0, 10 * most, USUAL * most, "a point on the last link"),
+            strength("mass", "kg", 0.0, 0.0, 10 * full, USUAL * full, "a point on the last link"),
             *((place,) if s.reach else ()),
         )
     if s.carries:

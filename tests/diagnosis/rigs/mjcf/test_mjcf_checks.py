@@ -268,3 +268,12 @@ def test_a_torque_of_another_form_is_no_wrong_unit(alike, refused):
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     found = signals(seen, np.gradient(seen), command, needed)
     assert bool(list(mistakes(hip, "run.csv", found))) == refused
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6])
+def test_a_motor_that_is_off_or_tiny_is_no_mistake(size):
+    random = np.random.default_rng(4)
+    speed, needed = random.normal(size=(2, 5000))
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    found = signals(np.cumsum(speed), speed, size * needed, size * needed)
+    assert [*mistakes(hip, "run.csv", found), *unlike(hip, found)] == []
