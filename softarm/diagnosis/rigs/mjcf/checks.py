@@ -61,7 +61,8 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
         yield f"{where}: {_other_kind(joint)}"
     elif _is_far_better(opposite, together) or _is_turned(joint, together, signals):
         turned = signals.mirrored() if mirrored > -together else -needed
-        if follows or _left(signals, turned) < LEFT * _left(signals, needed, seen):  # a strong spring turns it as well
+        by_effects = unexplained(command, friction, needed, seen)  # a strong spring turns the torque as well
+        if follows or unexplained(command, friction, turned) < LEFT * by_effects:
             yield f"{where}: {_opposite(joint, together, mirrored)}"
     elif follows and joint.turns:
         ratio = float(np.std(seen) / np.std(command))
@@ -72,27 +73,30 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
         small = np.abs(command) <= np.median(np.abs(command))  # a torque limit leaves these alone
         times, near = (_times(*(x[part] for x in (command, answer, friction))) for part in (slice(None), small))
         far = all(each > FAR or 0 < each < FAR_LESS for each in (times, near))
-        if far and _left(signals, needed) < LEFT:  # a wrong zero of a joint makes large torques of another form
+        if far and unexplained(command, friction, needed) < LEFT:  # a wrong zero makes torques of another form
             yield (
                 f"{where}: the motion of {joint.name} needs {times:.3g} times the torque that it was given; correct "
                 "the unit, or write the gear ratio as `gear` of its actuator"
             )
 
 
-def unlike(joint: Joint, signals: Compared) -> Iterator[str]:
+def unlike(joint: Joint, signals: Compared, right: Callable[[], str] = str) -> Iterator[str]:
     """Yield a warning if the torque that a joint was given hardly resembles the torque that its motion needs.
 
     Args:
         joint: joint of the model, with the actuator that drives it; nothing is said of a position loop.
         signals: command and motion of the joint.
+        right: returns the change of a column that explains the torque, or an empty string.
     """
     if joint.follows:
         return
-    share = 1 - _left(signals, signals.needed)
-    if share < ALIKE_LEAST and _left(signals, signals.needed, signals.seen) > LEFT:  # a spring explains the others
+    seen, command, needed, friction = signals[:4]
+    share = 1 - unexplained(command, friction, needed)
+    if share < ALIKE_LEAST and unexplained(command, friction, needed, seen) > LEFT:  # a spring explains the others
+        remedy = right() or "check that its columns belong to this joint, and the zeros and signs of all joints"
         yield (
             f"{joint.name}: by the model, its motion explains {100 * share:.0f} % of the variation of its "
-            "torque; check that its columns belong to this joint, and the zeros and signs of all joints"
+            f"torque; {remedy}"
         )
 
 
@@ -135,13 +139,19 @@ def _times(command: Array, needed: Array, friction: Array) -> float:
     return float(1 / share[0])
 
 
-def _left(signals: Compared, *torques: Array) -> float:
-    """Return the share of the given torque's square that positive multiples of torques and any friction leave."""
-    command, known = signals.command, np.column_stack((*torques, signals.friction))
+def unexplained(command: Array, friction: Array, *torques: Array) -> float:
+    """Return the share of a given torque's square that positive multiples of torques and any friction leave.
+
+    Args:
+        command: given torque, [T].
+        friction: laws of friction along the motion, [T, 2].
+        torques: other torques, [T each].
+    """
     if np.ptp(command) <= 0:
         return 0.0
-    target, known = command - command.mean(), known - known.mean(axis=0)
-    low = np.repeat((0.0, -np.inf), (len(torques), known.shape[1] - len(torques)))
+    known, target = np.column_stack((*torques, friction)), command - command.mean()
+    known = known - known.mean(axis=0)
+    low = np.repeat((0.0, -np.inf), (len(torques), friction.shape[1]))
     scaled = known / np.maximum(known.std(axis=0), 1e-300)
     return float(2 * lsq_linear(scaled, target / target.std(), (low, np.inf)).cost / len(target))
 

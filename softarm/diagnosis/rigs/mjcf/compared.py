@@ -16,32 +16,48 @@ from softarm.diagnosis.rigs.motion import Motion
 KEPT, WIDEST = 0.9, 0.025
 
 
-def compared(
-    joint: Joint,
-    motions: Sequence[Motion],
-    sent: Sequence[Array],
-    free: Sequence[NDArray[np.bool_]],
-    terms: Callable[[Sequence[Motion]], Iterable[Array]],
-) -> Compared:
-    """Return command and motion of a joint in all recordings, smoothed alike, at samples without a contact.
+# Returns smoothed signals of all recordings one after the other, [M]; it takes those of each recording, [T].
+Smooth = Callable[[Iterable[Array]], Array]
+
+
+def smoother(motions: Sequence[Motion], sent: Sequence[Array], free: Sequence[NDArray[np.bool_]]) -> Smooth:
+    """Return the smoothing that keeps most of the commands, at samples without a contact.
 
     The double difference of an encoder's noise is larger than most accelerations, but lies at higher frequencies than
     the command. A weighted mean of both keeps their ratio.
 
     Args:
-        joint: joint of the model, with the actuator that drives it.
         motions: motion of each recording.
         sent: its command, [T of the recording].
         free: samples without a contact or a limit, [T of the recording].
-        terms: returns the rigid-body terms of each recording along a motion of the joint, [ROWS, T].
     """
-    assert joint.actuator is not None
-    factor = 1.0 if joint.follows else joint.actuator.scale
     widths = [_width(s, m.grid.step_s) for s, m in zip(sent, motions, strict=True)]
 
     def smooth(signals: Iterable[Array]) -> Array:
         recordings = zip(signals, free, widths, strict=True)
         return np.concatenate([_smooth(values, used, width)[used] for values, used, width in recordings])
+
+    return smooth
+
+
+def compared(
+    joint: Joint,
+    motions: Sequence[Motion],
+    sent: Sequence[Array],
+    smooth: Smooth,
+    terms: Callable[[Sequence[Motion]], Iterable[Array]],
+) -> Compared:
+    """Return command and motion of a joint in all recordings, smoothed alike.
+
+    Args:
+        joint: joint of the model, with the actuator that drives it.
+        motions: motion of each recording.
+        sent: its command, [T of the recording].
+        smooth: result of `smoother`.
+        terms: returns the rigid-body terms of each recording along a motion of the joint, [ROWS, T].
+    """
+    assert joint.actuator is not None
+    factor = 1.0 if joint.follows else joint.actuator.scale
 
     def needed(along: Sequence[Motion]) -> Array:
         return smooth(_needed(joint, each, m) for each, m in zip(terms(along), along, strict=True))

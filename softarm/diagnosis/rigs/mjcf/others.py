@@ -1,6 +1,6 @@
 """Measured motion of the other joints of a mechanism, which loads a joint."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -39,6 +39,15 @@ class OtherJoints:
     def terms_along(self, own: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along another motion of the joint, [ROWS, T]."""
         return [self._mechanism.terms(self._joint, course) for course in self._courses(own, self.around)]
+
+    def smoothed(self, smooth: Callable[[Iterable[Array]], Array]) -> dict[str, tuple[Array, Array, Array]]:
+        """Return position, speed and acceleration of each column, the joint's too, smoothed; smooth: of recordings."""
+        own = {self._joint.name: [(m.position, m.speed, m.acceleration) for m in self._own]}
+        columns = own | {name: [around[name] for around in self.around] for name in self.around[0]}
+        return {
+            name: (smooth(x for x, _, _ in each), smooth(v for _, v, _ in each), smooth(a for _, _, a in each))
+            for name, each in columns.items()
+        }
 
     def _disturbed(self, noisy: bool, smooth: bool) -> Array:
         """Return the rigid-body terms with other motion of the other joints, [ROWS, M].

@@ -25,7 +25,8 @@ from softarm.diagnosis.rigs.grid import (
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, own_errors
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
-from softarm.diagnosis.rigs.mjcf.compared import compared
+from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
+from softarm.diagnosis.rigs.mjcf.descriptions import right_description
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
@@ -272,15 +273,21 @@ class JointView(RigView):
         free = [~held for held in self._held]
         if sum(int(each.sum()) for each in free) < FREE_LEAST or any(trial.recording for trial in trials):
             return []
-        joint, where, signals = replace(self._joint, actuator=self._actuator), str(trials[0].source), None
+        joint, where = replace(self._joint, actuator=self._actuator), str(trials[0].source)
         seen = np.concatenate([m.position[used] for m, used in zip(self._motions, free, strict=True)])
-        found = [*checks.out_of_range(joint, where, seen)]
-        if self._sent and not found:
-            signals = compared(joint, self._motions, self._sent, free, self._terms_along)
-            found = [*checks.mistakes(joint, where, signals)]
-        if found:
+        if found := [*checks.out_of_range(joint, where, seen)]:
             raise TrialError("\n".join(found))
-        return [*checks.unlike(joint, signals)] if signals is not None else []
+        if not self._sent:
+            return []
+        smooth = smoother(self._motions, self._sent, free)
+        signals = compared(joint, self._motions, self._sent, smooth, self._terms_along)
+        if found := [*checks.mistakes(joint, where, signals)]:
+            raise TrialError("\n".join(found))
+
+        def right() -> str:
+            return right_description(self._mechanism, joint, self._others.smoothed(smooth), signals.command)
+
+        return [*checks.unlike(joint, signals, right)]
 
     def _terms_along(self, along: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along a motion of the joint, [ROWS, T]."""

@@ -113,6 +113,12 @@ def test_a_column_of_another_joint_is_warned_of(tmp_path, noisy, column):
     assert view(tmp_path, noisy, "leg", "hip").assumptions == ()
 
 
+def test_a_wrong_column_is_found_by_the_torque_of_another_joint(tmp_path, noisy):
+    turned = "q_knee, unit: rad", "q_knee, unit: rad, scale: -1"
+    (warning,) = view(tmp_path, noisy, "leg", "hip", turned).assumptions
+    assert re.fullmatch(r"hip: by the model, .* of its torque; with `scale: -1` for knee it explains 9\d%", warning)
+
+
 def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_path, recorded):
     servo = '<motor name="hip_motor" joint="hip" gear="6" ', '<position name="hip_motor" joint="hip" kp="20" kv="1" '
     with pytest.raises(TrialError, match=r"resembles the torque of its motion.*move the column to `torque`, as hip"):
