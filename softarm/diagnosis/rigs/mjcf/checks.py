@@ -60,9 +60,7 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
     if _is_far_better(resembles, together) and resembles > opposite:
         yield f"{where}: {_other_kind(joint)}"
     elif _is_far_better(opposite, together) or _is_turned(joint, together, signals):
-        turned = signals.mirrored() if mirrored > -together else -needed
-        by_effects = unexplained(command, friction, needed, seen)  # a strong spring turns the torque as well
-        if follows or unexplained(command, friction, turned) < LEFT * by_effects:
+        if follows or _beats_effects(signals, signals.mirrored() if mirrored > -together else -needed):
             yield f"{where}: {_opposite(joint, together, mirrored)}"
     elif follows and joint.turns:
         ratio = float(np.std(seen) / np.std(command))
@@ -80,7 +78,7 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
             )
 
 
-def unlike(joint: Joint, signals: Compared, right: Callable[[], str] = str) -> Iterator[str]:
+def unlike(joint: Joint, signals: Compared, right: Callable[[], str] = lambda: "") -> Iterator[str]:
     """Yield a warning if the torque that a joint was given hardly resembles the torque that its motion needs.
 
     Args:
@@ -116,6 +114,12 @@ def _is_turned(joint: Joint, together: float, signals: Compared) -> bool:
         return together < -TOGETHER
     times = _times(signals.command, signals.needed, signals.friction)
     return together < -TOGETHER and abs(times + 1) < ALIKE
+
+
+def _beats_effects(signals: Compared, turned: Array) -> bool:
+    """Report whether a turned torque leaves far less than effects do, since a strong spring turns a torque as well."""
+    seen, command, needed, friction = signals[:4]
+    return unexplained(command, friction, turned) < LEFT * unexplained(command, friction, needed, seen)
 
 
 def _opposite(joint: Joint, together: float, mirrored: float) -> str:
