@@ -93,8 +93,8 @@ def unlike(joint: Joint, signals: Compared, right: Callable[[], str] = lambda: "
     if share < ALIKE_LEAST and unexplained(command, friction, needed, seen) > LEFT:  # a spring explains the others
         remedy = right() or "check that its columns belong to this joint, and the zeros and signs of all joints"
         yield (
-            f"{joint.name}: by the model, its motion explains {100 * share:.0f} % of the variation of its "
-            f"torque; {remedy}"
+            f"{joint.name}: by the model, its motion explains {100 * share:.0f} % of the variation of its torque; "
+            f"{remedy}"
         )
 
 

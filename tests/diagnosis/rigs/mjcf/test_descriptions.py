@@ -64,6 +64,6 @@ def test_a_torque_that_no_change_explains_has_no_remedy(moved):
     assert right_description(mechanism, mechanism.joint("elbow"), motions, noise) == ""
 
 
-def test_changes_that_a_torque_cannot_tell_apart_are_no_remedy(moved):
+def test_changes_that_a_torque_cannot_separate_are_no_remedy(moved):
     """The zero of a vertical axis acts on no torque, so every zero of it is as good as another."""
     assert described(moved, "shoulder") == ""
