@@ -16,7 +16,7 @@ from softarm.diagnosis.blind import rigs, run, seal
 from softarm.diagnosis.blind.score import right_names
 from softarm.diagnosis.engine import confidence
 
-# Edges of the bins. A bin with too few cases, or with a lower share than the one below, is joined with that one.
+# Edges of the bins. A bin with too few cases, or without a higher chance than the one below, is joined with that one.
 MARGINS: Final = (0.0, 0.12, 0.25, 0.5, 0.75, 1.0)
 BIN_LEAST = 20
 
@@ -27,7 +27,7 @@ Answer = tuple[str, float, bool]
 def curves(answers: Sequence[Answer]) -> dict[str, list[dict[str, float | int]]]:
     """Return bins of margins for each kind of answer, with counts of right and of all answers.
 
-    Shares never fall with the margin.
+    Chances grow with the margin.
     """
     return {kind: _curve([(m, right) for k, m, right in answers if k == kind]) for kind in ("alone", "set")}
 
@@ -45,7 +45,7 @@ def _curve(pairs: Sequence[tuple[float, bool]]) -> list[dict[str, float | int]]:
 
 def _join(below: dict[str, float | int], above: dict[str, float | int]) -> bool:
     few = below["of"] < BIN_LEAST or above["of"] < BIN_LEAST
-    return few or above["right"] * below["of"] < below["right"] * above["of"]
+    return few or confidence.chance(above) <= confidence.chance(below)
 
 
 def of_robot(labels: seal.Labels, content: dict[str, Any]) -> Iterator[Answer]:

@@ -1,18 +1,18 @@
-"""Confidence of an answer: the share of correct answers among blind cases with known causes.
+"""Confidence of an answer, from the share of correct answers among blind cases with known causes.
 
 `confidence.json` holds the counts for the robot and for rigs, for a single name and for a set, by margin; it is written
 by `softarm.diagnosis.blind.curve`. An answer with fewer than `CASES_LEAST` cases has no confidence.
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Any, Literal
 
 from softarm.diagnosis.engine.search import SelectedEffect
 
-CASES_LEAST = 10
+CASES_LEAST = 5
 System = Literal["robot", "rig"]
 
 
@@ -44,12 +44,19 @@ def _is_rated(effect: SelectedEffect) -> bool:
 
 
 def frequency(curves: dict[str, Any], answer: Literal["alone", "set"], margin: float) -> float | None:
-    """Return the share of correct answers at the highest margin reached, or None for too few cases."""
+    """Return the chance of a correct answer at the highest margin reached, or None for too few cases."""
     reached = [each for each in curves[answer] if each["margin"] <= margin and each["of"] >= CASES_LEAST]
     if not reached:
         return None
-    best = max(reached, key=lambda each: float(each["margin"]))
-    return float(best["right"] / best["of"])
+    return chance(max(reached, key=lambda each: float(each["margin"])))
+
+
+def chance(counts: Mapping[str, float]) -> float:
+    """Return the chance of a correct answer after `right` of `of` cases, by Laplace's rule of succession.
+
+    No number of cases makes an answer certain.
+    """
+    return (counts["right"] + 1) / (counts["of"] + 2)
 
 
 @cache

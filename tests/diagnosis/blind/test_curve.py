@@ -1,4 +1,4 @@
-"""Calibration of confidences: bins of margins that are large enough and never fall."""
+"""Calibration of confidences: bins of margins that are large enough, with chances that grow."""
 
 import json
 
@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.curve import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
+from softarm.diagnosis.engine.confidence import chance
 
 ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)
 
@@ -18,14 +19,14 @@ def verdict(*sets):
 
 
 @given(ANSWERS)
-def test_every_answer_counts_once_and_shares_never_fall(answers):
+def test_every_answer_counts_once_and_chances_grow(answers):
     for kind, bins in curves(answers).items():
         own = [right for k, _, right in answers if k == kind]
         assert sum(each["of"] for each in bins) == len(own)
         assert sum(each["right"] for each in bins) == sum(own)
         assert [each["margin"] for each in bins] == sorted({each["margin"] for each in bins} & set(MARGINS))
-        shares = [each["right"] / each["of"] for each in bins]
-        assert shares == sorted(shares)
+        chances = [chance(each) for each in bins]
+        assert chances == sorted(set(chances))
         assert len(bins) < 2 or all(each["of"] >= BIN_LEAST for each in bins)
 
 

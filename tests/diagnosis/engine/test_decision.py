@@ -205,10 +205,10 @@ def test_an_effect_without_a_gain_of_its_own_is_not_named():
     assert _names(_decide(choice, {}, thresholds=RIG)) == ["arm.stiffness"]
 
 
-def test_confidence_is_a_frequency_of_enough_cases_or_none():
-    curves = {"alone": [{"margin": 0.0, "right": 12, "of": 20}, {"margin": 0.5, "right": 19, "of": 20}], "set": []}
-    assert frequency(curves, "alone", 0.1) == pytest.approx(0.6)
-    assert frequency(curves, "alone", 0.7) == pytest.approx(0.95)
+def test_confidence_is_the_chance_after_enough_cases_or_none():
+    curves = {"alone": [{"margin": 0.0, "right": 12, "of": 20}, {"margin": 0.5, "right": 98, "of": 98}], "set": []}
+    assert frequency(curves, "alone", 0.1) == pytest.approx(13 / 22)
+    assert frequency(curves, "alone", 0.7) == pytest.approx(0.99)
     assert frequency(curves, "set", 1.0) is None
     assert frequency({"alone": [{"margin": 0.0, "right": 2, "of": 2}], "set": []}, "alone", 1.0) is None
 
