@@ -38,7 +38,7 @@ def right_description(mechanism: Mechanism, joint: Joint, motions: Motions, comm
     best, *others = sorted(left, key=lambda change: left[change])
     if left[best] > RIGHT or any(left[best] > LEFT * left[each] for each in others):
         return ""
-    return f"with {best} it explains {1 - left[best]:.0%}"
+    return f"with {best} it explains {100 * (1 - left[best]):.0f} %"
 
 
 def _changes(mechanism: Mechanism, motions: Motions) -> Iterator[tuple[str, Motions]]:

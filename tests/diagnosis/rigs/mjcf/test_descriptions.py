@@ -52,10 +52,10 @@ def described(moved, joint, **changed):
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
 def test_a_wrong_zero_a_sign_and_exchanged_columns_are_found_from_each_joint(moved, joint):
     (x, v, a), elbow = (moved[1][name] for name in ("shoulder", "elbow"))
-    assert described(moved, joint, shoulder=(x - np.pi / 2, v, a)) == "with `add: 1.571` for shoulder it explains 100%"
-    assert described(moved, joint, shoulder=(-x, -v, -a)) == "with `scale: -1` for shoulder it explains 100%"
+    assert described(moved, joint, shoulder=(x - np.pi / 2, v, a)) == "with `add: 1.571` for shoulder it explains 100 %"
+    assert described(moved, joint, shoulder=(-x, -v, -a)) == "with `scale: -1` for shoulder it explains 100 %"
     swapped = described(moved, joint, shoulder=elbow, elbow=(x, v, a))
-    assert swapped == "with the columns of shoulder and elbow exchanged it explains 100%"
+    assert swapped == "with the columns of shoulder and elbow exchanged it explains 100 %"
 
 
 def test_a_torque_that_no_change_explains_has_no_remedy(moved):

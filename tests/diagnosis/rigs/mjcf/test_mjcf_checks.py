@@ -116,7 +116,7 @@ def test_a_column_of_another_joint_is_warned_of(tmp_path, noisy, column):
 def test_a_wrong_column_is_found_by_the_torque_of_another_joint(tmp_path, noisy):
     turned = "q_knee, unit: rad", "q_knee, unit: rad, scale: -1"
     (warning,) = view(tmp_path, noisy, "leg", "hip", turned).assumptions
-    assert re.fullmatch(r"hip: by the model, .* of its torque; with `scale: -1` for knee it explains 9\d%", warning)
+    assert re.fullmatch(r"hip: by the model, .* of its torque; with `scale: -1` for knee it explains 9\d %", warning)
 
 
 def test_torques_for_a_position_loop_and_positions_for_a_motor_are_reported(tmp_path, recorded):
