@@ -107,12 +107,8 @@ class JointView(RigView):
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
-        unlike = self._refuse_mistakes(trials)
-        self.assumptions = (
-            *checks.assumptions(self._mechanism, joint, self._others.around[0]),
-            *self._stuck(),
-            *unlike,
-        )
+        still = checks.assumptions(self._mechanism, joint, self._others.around[0])
+        self.assumptions = (*still, *self._stuck(), *self._refuse_mistakes(trials))
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
