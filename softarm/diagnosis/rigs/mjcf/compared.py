@@ -73,7 +73,7 @@ def compared(
 
 def _needed(joint: Joint, terms: Array, motion: Motion) -> Array:
     friction = joint.viscous * motion.speed + joint.friction * np.sign(motion.speed)
-    return torque(terms, motion) + friction
+    return torque(terms, motion.position, motion.speed, motion.acceleration) + friction
 
 
 def _width(command: Array, step_s: float) -> float:

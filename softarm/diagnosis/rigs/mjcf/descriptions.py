@@ -1,26 +1,24 @@
 """Search for columns with another sign, zero or joint than the model's, by the torque that one joint was given."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.checks import LEFT, unexplained
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.poses import Motion
+from softarm.diagnosis.rigs.mjcf.torques import torque
 
 # Zeros that are tried, rad: descriptions of one arm usually differ by right angles.
 TURNS_RAD = (0.5 * math.pi, -0.5 * math.pi, math.pi)
 # Share of the torque's square that the right description leaves at most, and number of samples that decide.
 RIGHT, SAMPLES = 0.1, 300
 
-# Column -> position, speed and acceleration, [T each].
-Motions = Mapping[str, tuple[Array, Array, Array]]
 
-
-def right_description(mechanism: Mechanism, joint: Joint, motions: Motions, command: Array) -> str:
+def right_description(mechanism: Mechanism, joint: Joint, motions: Motion, command: Array) -> str:
     """Return the one change of columns with which the motion explains a joint's torque, or an empty string.
 
     Args:
@@ -41,7 +39,7 @@ def right_description(mechanism: Mechanism, joint: Joint, motions: Motions, comm
     return f"with {best} it explains {100 * (1 - left[best]):.0f} %"
 
 
-def _changes(mechanism: Mechanism, motions: Motions) -> Iterator[tuple[str, Motions]]:
+def _changes(mechanism: Mechanism, motions: Motion) -> Iterator[tuple[str, Motion]]:
     """Yield changes of the description of one or two joints, each with the motions that it changes."""
     known = [mechanism.joints[name] for name in motions if name in mechanism.joints]
     for each in known:
@@ -53,10 +51,9 @@ def _changes(mechanism: Mechanism, motions: Motions) -> Iterator[tuple[str, Moti
         yield f"the columns of {one} and {other} exchanged", {one: motions[other], other: motions[one]}
 
 
-def _left(mechanism: Mechanism, joint: Joint, motions: Motions, command: Array) -> float:
+def _left(mechanism: Mechanism, joint: Joint, motions: Motion, command: Array) -> float:
     """Return the share of a torque's square that the motion leaves."""
     position, speed, acceleration = motions[joint.name]
     terms = mechanism.terms(joint, mechanism.course(joint, motions))
-    needed = terms[laws.LOAD] + terms[laws.BY_POSITION] * position + terms[laws.BY_SPEED] * speed
-    needed += terms[laws.INERTIA] * acceleration
+    needed = torque(terms, position, speed, acceleration)
     return unexplained(command, np.stack((np.sign(speed), speed), axis=1), needed)

@@ -1,7 +1,6 @@
 """Torques that the measured motion of a joint needs, and how they change with bodies and base."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,26 +15,27 @@ from softarm.diagnosis.rigs.motion import Motion
 TILT_SHARE = 0.1
 
 
-@dataclass(frozen=True, slots=True)
 class Torques:
     """Torques of one joint along the motion of all its recordings, [M]; without friction."""
 
-    slopes: Slopes  # rigid-body terms of all recordings, and their changes
-    motions: Sequence[Motion]
+    def __init__(self, slopes: Slopes, motions: Sequence[Motion]) -> None:
+        """Join the motions; slopes: rigid-body terms of all recordings, and their changes."""
+        self._slopes = slopes
+        self._position = np.concatenate([m.position for m in motions])
+        self._speed = np.concatenate([m.speed for m in motions])
+        self._acceleration = np.concatenate([m.acceleration for m in motions])
 
     def total(self, terms: Array) -> Array:
         """Return the torque with the joint's own acceleration; terms: [ROWS, M]."""
-        parts = zip(split(terms, self.motions), self.motions, strict=True)
-        return np.concatenate([torque(each, motion) for each, motion in parts])
+        return torque(terms, self._position, self._speed, self._acceleration)
 
     def load(self, terms: Array) -> Array:
         """Return the torque without the joint's own acceleration; terms: [ROWS, M]."""
-        parts = zip(split(terms, self.motions), self.motions, strict=True)
-        return np.concatenate([load(each, motion) for each, motion in parts])
+        return load(terms, self._position, self._speed)
 
     def tilted(self) -> Mapping[str, Array]:
         """Return the torque per rad of the base's tilt, by axis."""
-        return {axis: self.load(self.slopes.tilted(axis)) for axis in self.slopes.axes}
+        return {axis: self.load(self._slopes.tilted(axis)) for axis in self._slopes.axes}
 
     def like_tilt(self, axes: Sequence[str], follows: bool) -> str:
         """Return the effect whose torque is that of a tilted base, or an empty string.
@@ -44,7 +44,7 @@ class Torques:
             axes: axes about which a tilt loads the joint.
             follows: whether a position loop drives the joint.
         """
-        falls = self.slopes.base[laws.BY_POSITION]
+        falls = self._slopes.base[laws.BY_POSITION]
         constant = "command_bias" if follows else "torque_offset"
         tilted = self.tilted()
         for name, other in (("sensor_bias", falls), (constant, np.ones_like(falls))):
@@ -59,15 +59,14 @@ def split(terms: Array, motions: Sequence[Motion]) -> list[Array]:
     return np.split(terms, np.cumsum([len(m.seen) for m in motions])[:-1], axis=1)
 
 
-def load(terms: Array, motion: Motion) -> Array:
-    """Return the load torque along a measured motion, [T]; terms: [ROWS, T]."""
-    by_motion = terms[laws.BY_POSITION] * motion.position + terms[laws.BY_SPEED] * motion.speed
-    return np.asarray(terms[laws.LOAD] + by_motion)
+def load(terms: Array, position: Array, speed: Array) -> Array:
+    """Return the load torque along a motion, [T]; terms: [ROWS, T]."""
+    return np.asarray(terms[laws.LOAD] + terms[laws.BY_POSITION] * position + terms[laws.BY_SPEED] * speed)
 
 
-def torque(terms: Array, motion: Motion) -> Array:
-    """Return the torque that a measured motion needs without friction, [T]; terms: [ROWS, T]."""
-    return np.asarray(load(terms, motion) + terms[laws.INERTIA] * motion.acceleration)
+def torque(terms: Array, position: Array, speed: Array, acceleration: Array) -> Array:
+    """Return the torque that a motion needs without friction, [T]; terms: [ROWS, T]."""
+    return np.asarray(load(terms, position, speed) + terms[laws.INERTIA] * acceleration)
 
 
 def lost(actuator: Actuator | None, sent: Sequence[Array], motions: Sequence[Motion], needed: Array) -> float:

@@ -124,7 +124,7 @@ class JointView(RigView):
         self._each = self._substeps()
         out = [self._out(k) for k in range(len(trials))]
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
-        signals = [self._signals(k, base) for k, base in enumerate(self._terms_along(self._motions))]
+        signals = [self._signals(k, base) for k, base in enumerate(split(self._slopes.base, self._motions))]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
         if any(each.any() for each in out):
             self._refuse_touching(seen, trials)
@@ -159,11 +159,16 @@ class JointView(RigView):
         if not any(self._others.around):
             self.floor = np.array([self._own_floor])
             return
-        noise, smooth = self._moved(noisy=True), self._moved(smooth=True)
+        raw = self._raw_gaps([{}])[0]
+
+        def moved(*, noisy: bool, smooth: bool) -> Array:
+            return np.asarray(self._raw_gaps([{}], self._others.disturbed(noisy, smooth))[0] - raw)
+
+        noise, smooth = moved(noisy=True, smooth=False), moved(noisy=False, smooth=True)
         self.floor = self._raised_floor(noise)
         large = np.abs(smooth) > self.floor[0]
         if large.any():
-            large &= np.abs(smooth) > SIGMAS * rms(self._moved(noisy=True, smooth=True) - noise - smooth)
+            large &= np.abs(smooth) > SIGMAS * rms(moved(noisy=True, smooth=True) - noise - smooth)
             self._leave_out(large)
             self.floor = self._raised_floor(noise[np.isfinite(self.measured[:, 0])])
 
@@ -182,13 +187,6 @@ class JointView(RigView):
         base = self._slopes.base
         fastest = float(np.quantile(-(base[laws.BY_POSITION] + held) / base[laws.INERTIA], 0.9))
         return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
-
-    def _moved(self, *, noisy: bool = False, smooth: bool = False) -> Array:
-        """Return how the nominal gap changes with noise or smoothing of the other joints, for free starts, [M]."""
-        own, simulation = self._values([{}]), self._simulation
-        moved = simulation.residuals(own, self._others.disturbed(noisy, smooth)) - simulation.residuals(own)
-        simulation.free_starts(moved)
-        return np.asarray(moved[0])
 
     def _leave_out(self, large: NDArray[np.bool_]) -> None:
         """Leave out samples [M] with a margin, unless these are the majority."""
@@ -462,7 +460,7 @@ class JointView(RigView):
         t, v = m.grid.t_s, m.speed
         direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
         signals = {
-            "torque": load(terms, m),
+            "torque": load(terms, m.position, v),
             "speed": v,
             "direction": direction,
             "position": m.position,
