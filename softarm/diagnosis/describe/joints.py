@@ -12,6 +12,10 @@ from softarm.diagnosis.describe.survey import Signal, Survey
 # Readings this much wider than the joint's range, or than two turns, are in degrees.
 WIDER, TURNS_RAD = 1.5, 13.0
 _RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
+# Headers of a pose, in letters and digits: its name, and the part of the orientation or of the position.
+_POSE = re.compile(
+    r"(?P<name>.*?)(?:(?:quaternion|quat|orientation|rotation|q)(?P<turn>[wxyz])|(?:position|pos|p)?(?P<place>[xyz]))"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,11 @@ def propose(
         TrialError: no column has the name of a joint.
     """
     draft, found = Draft(survey, answers), dict[str, dict[str, Use]]()
+    poses = _poses(draft, joints)
     for joint in joints:
+        if joint.name in poses:
+            found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.span)
+            continue
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
         position_loop = joint.command_unit == joint.unit
         excluded = (*_RATES, *_EFFORTS) if position_loop else _RATES
@@ -75,6 +83,26 @@ def propose(
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
     why = f"{len(found['measured'])} joints of the model are measured"
     return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+
+
+def _poses(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, Signal]:
+    """Return the columns of the only floating body, if the recordings have the only pose under another name."""
+    parts = {joint.name.rpartition("_")[2]: joint.name for joint in joints if joint.moved}
+    bodies = {joint.name.rpartition("_")[0] for joint in joints if joint.moved}
+    found = dict[str, dict[str, Signal]]()
+    for signal in draft.moving:
+        if not signal.elements and (pose := _POSE.fullmatch(_plain(str(signal.source)))):
+            part = pose["place"] or f"q{pose['turn']}"
+            found.setdefault(pose["name"], {})[part] = signal
+    whole = [columns for columns in found.values() if len(parts) == 7 and columns.keys() == parts.keys()]
+    if len(bodies) != 1 or len(whole) != 1:
+        return {}
+    columns, (body,) = whole[0], bodies
+    if columns["x"].source != parts["x"]:
+        draft.notes.append(
+            f"the only pose in the recordings counts as that of {body}; it has to be in the model's frame"
+        )
+    return {name: columns[part] for part, name in parts.items()}
 
 
 def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured: Sequence[str]) -> TrialError:

@@ -144,6 +144,28 @@ def test_joints_that_follow_and_poses_are_under_base(tmp_path, robot, base, meas
     assert note in " ".join(text.replace("\n#", "").split())
 
 
+@pytest.mark.parametrize(
+    ("place", "turn"),
+    [
+        ("base_{}", "base_q{}"),
+        ("imu_pos_{}", "imu_quat_{}"),
+        ("/odom pose.position.{}", "/odom pose.orientation.{}"),
+    ],
+)
+def test_the_only_pose_of_a_recording_is_that_of_the_only_floating_body(tmp_path, place, turn):
+    columns = record(ROBOTS["drone"], Truth({}), "multisine", 1.0, np.random.default_rng(1))
+    names = {f"hull_{axis}": place.format(axis) for axis in "xyz"}
+    names |= {f"hull_q{axis}": turn.format(axis) for axis in "wxyz"}
+    header = ",".join(names.get(name, name.removeprefix("q_")) for name in columns)
+    np.savetxt(tmp_path / "run-1.csv", np.stack([*columns.values()], axis=1), delimiter=",", header=header, comments="")
+    out, arguments = tmp_path / "stage.yaml", [str(ROBOTS["drone"].model), str(tmp_path / "run-1.csv")]
+    result = CliRunner().invoke(main, ["new", "rig", *arguments, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    base = yaml.safe_load(out.read_text())["channels"]["base"]["columns"]
+    assert {name: use["source"] for name, use in base.items()} == names
+    assert "the only pose in the recordings counts as that of hull" in " ".join(out.read_text().split())
+
+
 def test_a_command_in_units_of_its_own_is_not_taken_for_degrees(tmp_path):
     """Grippers often take 0 to 255 for their whole range."""
     servo = (
