@@ -256,25 +256,46 @@ class Mechanism:
     def held(self, joint: Joint, course: Course) -> NDArray[np.bool_]:
         """Return whether something unknown acts on a joint at each sample of a measured motion, [T].
 
-        That is a contact of a body that the joint moves, a limit of a joint that follows it, or a position that the
-        model's equalities do not allow. A contact between two bodies that it moves has no torque about it.
+        That is a contact of a body that the joint moves, a limit of a joint that follows it or of a tendon that it
+        moves, or a position that the model's equalities do not allow. A contact between two bodies that it moves has no
+        torque about it.
         """
         mujoco, model, position = self._mujoco, self.model, course.centre.position
         found = ~course.centre.closed | ~course.above.closed | ~course.below.closed
         for other in (self.joints[name] for name in joint.followers):
             low, high = other.range
             found |= (position[:, other.position] <= low) | (position[:, other.position] >= high)
-        if not (model.ngeom and (model.geom_contype | model.geom_conaffinity).any()):
+        touches = bool(model.ngeom and (model.geom_contype | model.geom_conaffinity).any())
+        tendons = self._limited_tendons(joint)
+        if not touches and not tendons:
             return found
+        low, high = model.tendon_range[tendons].T
         data, moves = mujoco.MjData(model), np.isin(model.geom_bodyid, self._moved(joint.dof))
         for k in range(len(position)):
             data.qpos[:] = position[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
+            if tendons:
+                mujoco.mj_tendon(model, data)
+                length = data.ten_length[tendons]
+                found[k] |= bool(((length <= low) | (length >= high)).any())
             mujoco.mj_collision(model, data)
             if data.ncon:
                 one, other = moves[data.contact.geom[data.contact.exclude == 0]].T  # the others have no force
                 found[k] |= bool((one != other).any())
+        return found
+
+    def _limited_tendons(self, joint: Joint) -> list[int]:
+        """Return the tendons with a limit whose length a joint changes."""
+        m, wraps = self.model, self._mujoco.mjtWrap
+        joints, bodies = m.dof_jntid[np.flatnonzero(self._follows[:, joint.dof])], self._moved(joint.dof)
+        found = []
+        for tendon in np.flatnonzero(m.tendon_limited):
+            path = m.tendon_adr[tendon] + np.arange(m.tendon_num[tendon])
+            kinds, objects = m.wrap_type[path], m.wrap_objid[path]
+            carried = np.isin(m.site_bodyid[objects[kinds == wraps.mjWRAP_SITE]], bodies)
+            if np.isin(objects[kinds == wraps.mjWRAP_JOINT], joints).any() or (carried.any() and not carried.all()):
+                found.append(int(tendon))
         return found
 
     def _changed(self, joint: Joint, change: Change) -> Any:

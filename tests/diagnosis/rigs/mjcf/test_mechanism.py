@@ -148,6 +148,32 @@ def test_a_contact_counts_for_the_joints_that_it_loads(tmp_path):
     assert held("right") == [False, False, True]
 
 
+def test_a_limit_of_a_tendon_counts_for_the_joints_that_move_it(tmp_path):
+    """A finger's last joint follows within 0.1 rad, a thread from palm to tip is 0.398 m long at most."""
+    file = tmp_path / "finger.xml"
+    file.write_text("""<mujoco><worldbody><body><joint name="wrist" axis="0 0 1"/><geom size="0.05" mass="1"/>
+      <site name="palm" pos="0 0 0.3"/>
+      <body pos="0 0 0.1"><joint name="base" axis="0 1 0"/><geom size="0.02" mass="0.1"/>
+        <body pos="0 0 0.1"><joint name="last" axis="0 1 0"/><geom size="0.02" mass="0.1"/></body>
+        <body><joint name="spread" axis="1 0 0"/><geom size="0.02" mass="0.1"/><site name="tip" pos="0 0 -0.2"/></body>
+      </body></body></worldbody>
+      <tendon>
+        <fixed limited="true" range="-0.1 0.1"><joint joint="base" coef="-1"/><joint joint="last" coef="1"/></fixed>
+        <spatial limited="true" range="0 0.398"><site site="palm"/><site site="tip"/></spatial>
+      </tendon></mujoco>""")
+    model = Mechanism(file)
+    # Both within their limits; the last joint ahead; and the tip far away.
+    angles = {"wrist": [0.0] * 3, "base": [0.3, 0.0, 0.0], "last": [0.25, 0.2, 0.0], "spread": [0.3, 0.3, 0.0]}
+    motion = {name: (np.array(x), np.zeros(3), np.zeros(3)) for name, x in angles.items()}
+    found = {name: model.held(model.joint(name), model.course(model.joint(name), motion)).tolist() for name in angles}
+    assert found == {
+        "wrist": [False, False, False],
+        "base": [False, True, True],
+        "last": [False, True, False],
+        "spread": [False, False, True],
+    }
+
+
 def test_friction_without_impedance_is_as_soft_as_mujoco_lets_it_be(tmp_path):
     """MuJoCo keeps impedances between mjMINIMP and mjMAXIMP."""
     text = '<joint name="{0}" solimpfriction="{1} {2}" frictionloss="1"/><geom size="0.1"/>'
