@@ -107,6 +107,7 @@ def check_stage(file: Path, data: Path | None) -> None:
     """Read every trial and column, build each stage's view, and print their contents. Exits with 1 for mistakes."""
     from softarm.diagnosis.data import tables
     from softarm.diagnosis.data.trials import TrialError
+    from softarm.diagnosis.rigs.diagnose import merged
     from softarm.diagnosis.rigs.stage import view_of
 
     trials = tables.read(file, data)
@@ -124,7 +125,7 @@ def check_stage(file: Path, data: Path | None) -> None:
             except TrialError as error:
                 problems.append(str(error))
             progress.advance()
-    warnings = [*dict.fromkeys(text for trial in trials for text in trial.warnings), *assumptions]
+    warnings = merged([*(text for trial in trials for text in trial.warnings), *assumptions], [*stages])
     for text in warnings[:WARNINGS_MAX]:
         click.echo(f"warning: {text}", err=True)
     if len(warnings) > WARNINGS_MAX:

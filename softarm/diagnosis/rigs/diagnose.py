@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -108,6 +108,19 @@ def _again(stage: tuple[Sequence[Trial], Sequence[Held]], budget_s: float) -> Fi
     return examine(*stage, budget_s=budget_s)
 
 
+def merged(warnings: Iterable[str], stages: Sequence[str]) -> tuple[str, ...]:
+    """Return warnings without repetition: one for all stages of which it says the same."""
+    own = dict[str, list[str]]()
+    for warning in dict.fromkeys(warnings):
+        stage, colon, text = warning.partition(": ")
+        own.setdefault(text if colon and stage in stages else warning, []).append(stage)
+    found = []
+    for text, of in own.items():
+        listed = f"all {len(stages)} stages" if 1 < len(stages) == len(of) else ", ".join(of)
+        found.append(f"{listed}: {text}" if set(of) <= set(stages) else text)
+    return tuple(found)
+
+
 def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings: Sequence[str]) -> Verdict:
     """Return the verdict on all stages of a rig."""
     gaps = [s for s in stages if s.decision.kind != "none"]
@@ -129,6 +142,6 @@ def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings
         best_fit={s.answer.stage: s.best_fit for s in stages if s.best_fit is not None},
         gap=gap_of(answers),
         next_experiment=next((s.following for s in gaps if s.following is not None), None),
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=merged(warnings, [answer.stage for answer in answers]),
         equal_sets=tuple(names for s in stages for names in s.decision.equal_sets),
     )

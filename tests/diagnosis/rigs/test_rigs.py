@@ -11,7 +11,7 @@ from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.shooting import swing as swung
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.diagnose import diagnose_table, merged
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import grid
 from softarm.diagnosis.rigs.laws import chain as law
@@ -98,6 +98,13 @@ def test_effects_of_a_rig_never_speak_of_the_soft_arm():
         texts = [effect.meaning, *(p.meaning for p in effect.parameters), *effect.separated_by.values()]
         words = set(re.findall(r"[a-z]+", " ".join(texts).lower()))
         assert not words & {"cart", "regulator", "muscle", "mocap", "pose", "poses", "tip"}, effect.name
+
+
+def test_a_warning_of_several_stages_is_given_once():
+    given = ["hip: late", "knee: late", "hip: weak", "foot: late", "knee: weak", "hip: late", "run-1.csv: a gap"]
+    found = merged([*given, "hip.play is not named: late"], ["foot", "hip", "knee"])
+    assert found == ("all 3 stages: late", "hip, knee: weak", "run-1.csv: a gap", "hip.play is not named: late")
+    assert merged(["hip: late"], ["hip"]) == ("hip: late",)
 
 
 def test_only_a_wrong_velocity_gives_a_warning():

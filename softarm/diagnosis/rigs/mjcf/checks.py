@@ -220,6 +220,6 @@ def assumptions(mechanism: Mechanism, joint: Joint, measured: Mapping[str, objec
     """Yield a warning for each assumption about other joints; measured: columns of joints."""
     if still := mechanism.still(joint, measured):
         yield (
-            f"{joint.name}: no column measures {', '.join(still)}, which carry it or are carried by it: they count as "
-            "still; add them to `measured` or `base` (a floating body: its position _x to _z and quaternion _qw to _qz)"
+            f"{joint.name}: no column measures {', '.join(still)} of the same chain: counted as still; "
+            "add columns to `measured` or `base` (a floating body: its position _x to _z and quaternion _qw to _qz)"
         )
