@@ -52,7 +52,7 @@ class Closure:
         option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
         self._data = mujoco.MjData(self._model)
         self._way = AWAY * np.random.default_rng(0).uniform(0.5, 1.0, model.nv)
-        jacobian, _ = self._equalities(self._moved(model.qpos0, self._way))
+        jacobian = self._met(self._moved(model.qpos0, self._way))
         self.dependent = np.array(_dependent(jacobian, order), dtype=int)
         self.independent = np.setdiff1d(np.arange(model.nv), self.dependent)
 
@@ -132,6 +132,20 @@ class Closure:
                 break
         jacobian, error = self._equalities(position)
         return position, jacobian, bool(np.abs(error).max(initial=0.0) < MET)
+
+    def _met(self, position: Array) -> Array:
+        """Return the Jacobian where all joints have met the equalities [E, nv].
+
+        Elsewhere, joints that carry both ends of a loop have a share in closing it.
+        """
+        jacobian, error = self._equalities(position)
+        for _ in range(NEWTON_MOST if len(error) else 0):
+            step = -np.linalg.lstsq(jacobian, error, rcond=DEPENDS)[0]
+            position = self._moved(position, np.clip(step, -AWAY, AWAY))
+            jacobian, error = self._equalities(position)
+            if np.abs(step).max() < STEP_LEAST:
+                break
+        return jacobian
 
     def _inverse(self, jacobian: Array) -> Array:
         """Return the pseudoinverse of the columns of the dependent degrees of freedom, [D, E]."""

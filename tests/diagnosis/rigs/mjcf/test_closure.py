@@ -66,6 +66,21 @@ def test_the_joints_of_a_closed_chain_follow_the_measured_one(linkage, swung):
     assert course.centre.speed == pytest.approx(v[part], abs=0.02 * np.abs(v).max())
 
 
+def test_joints_that_carry_a_closed_chain_are_no_part_of_it(tmp_path):
+    text, file = (MODELS / "linkage.xml").read_text(), tmp_path / "carried.xml"
+    arm = "".join(
+        f'<body pos="0 0 0.3"><joint name="{name}" axis="{axis}"/><geom size="0.05" mass="1"/>'
+        for name, axis in (("pan", "0 0 1"), ("tilt", "0 1 0"), ("roll", "1 0 0"))
+    )
+    file.write_text(
+        text.replace("<worldbody>", f"<worldbody>{arm}").replace("</worldbody>", f"{3 * '</body>'}</worldbody>")
+    )
+    carried = Mechanism(file, ("pan", "tilt", "roll", "crank"))
+    assert {joint.name: set(joint.followers) for joint in carried.joints.values() if joint.followers} == {
+        "crank": {"coupler", "rocker"}
+    }
+
+
 def test_the_terms_of_a_closed_chain_give_the_torque_that_moved_it_in_mujoco(linkage, swung):
     q, v, a, torque = swung
     crank, part = linkage.joint("crank"), slice(200, None, 50)
