@@ -9,7 +9,7 @@ import yaml
 
 from softarm.common import yaml_lines
 from softarm.diagnosis.data import stage_file
-from softarm.diagnosis.rigs.mjcf.own_errors import INTEGRATION, MASS
+from softarm.diagnosis.rigs.mjcf.own_errors import MASS
 from softarm.schemas.verdict import Verdict
 
 _HEADER = "# Nominal model with the findings of a diagnosis. --data names the folder of its tables.\n"
@@ -37,8 +37,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     effects = {name: dict(values) for name, values in data.pop("effects", {}).items()}
     for place, value in sorted(found.items()):
         name, _, parameter = place.rpartition(".")
-        if not name or parameter.startswith(MASS) or parameter == INTEGRATION:
-            continue  # of the model file (--patch FILE.xml) and of the recording
+        if not name or parameter.startswith(MASS):
+            continue  # of the model file (--patch FILE.xml)
         if link := _LINK.fullmatch(parameter):
             about = data["mechanisms"][name] if "mechanisms" in data else data
             about["model"] |= _reweighed(about["model"], about["links"], link[1], int(link[2]) - 1, value)

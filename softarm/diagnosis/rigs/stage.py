@@ -1,9 +1,10 @@
 """Diagnosis of one stage of a rig."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -195,16 +196,37 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
             if min(beside) < MOST * min(losses):
                 best = values[int(np.argmin(beside))]
             view.assume(path, best)
-    for path, other in view.variants.items():
-        usual, losses = view.nominal(path), []
-        for value in (usual, other):
-            alone = least(path, value, [((), ())])
-            explained = least(path, value, _likely(setup().plain(), candidates(view)))
-            losses.append(explained if explained < MOST * alone else alone)
-        view.assume(path, other if losses[1] < MOST * losses[0] else usual)
-        if view.nominal(path) != usual:
-            view.measure_noise()
+    if view.variants:
+        _choose_laws(view, setup)
     return setup()
+
+
+def _choose_laws(view: RigView, setup: Callable[[], Setup]) -> None:
+    """Assume the other laws of the nominal model that leave the smallest gap, or fewer if these leave about as much.
+
+    The gap next to an effect counts if the effect explains most of it, and more than one that needs no effect.
+    """
+
+    def left(law: Mapping[str, float]) -> float:
+        for path, value in law.items():
+            view.assume(path, value)
+        problem = setup().plain()
+        alone, explained = (
+            min(fit.loss for fit in problem.fit(sets, SETTLING_ROUNDS))
+            for sets in ([((), ())], _likely(problem, candidates(view)))
+        )
+        return min(alone, explained / MOST)
+
+    choices = product(*((view.nominal(path), other) for path, other in view.variants.items()))
+    laws = [dict(zip(view.variants, values, strict=True)) for values in choices]
+    losses = [left(law) for law in laws]
+    usual, good = laws[0], min(losses) / MOST
+    fitting = [law for law, loss in zip(laws, losses, strict=True) if loss <= good]
+    chosen = min(fitting, key=lambda law: sum(law[path] != usual[path] for path in law))
+    for path, value in chosen.items():
+        view.assume(path, value)
+    if chosen != usual:
+        view.measure_noise()
 
 
 def _owns(candidate: Candidate, path: str) -> bool:

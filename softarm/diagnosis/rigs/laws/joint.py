@@ -39,7 +39,9 @@ DRY, STICTION, SPEED, LOADED, GIVE = range(11, 16)
 GAP, ARMATURE = range(16, 18)
 # Soft friction: its softness per torque (MuJoCo's regulariser), and the rate at which it stops a joint, 1/s; 0 if hard.
 SOFT, YIELDS = range(18, 20)
-COLUMNS = 20
+# Times by which the speeds in viscous friction and in the position loop are ahead, s, as in a simulation's long steps.
+AHEAD, LOOP_AHEAD = range(20, 22)
+COLUMNS = 22
 # Damping of friction while it bends, as a share of the root of stiffness times inertia.
 GRIP = 0.1
 # Rows of a path: inertia, load at zero position and speed, its slopes by position and by speed.
@@ -107,6 +109,18 @@ def faded(x):
     for _ in range(6):
         fade = fade * fade
     return fade
+
+
+@inlined
+def resisting(inertia, damping):
+    """Return the inertia that gives the mean speed of a step the right damping, to second order and for any damping.
+
+    That is z / (1 - exp(-z)) inertias for a damping z, here a fraction that is right at both ends; damping: in a step.
+    """
+    z = damping / inertia
+    more = select(z > 0.0, z, 0.0)
+    ratio = 1.0 + 0.5 * z + more * more / (12.0 + 2.0 * more)
+    return inertia * select(ratio > 0.1, ratio, 0.1)
 
 
 @inlined
@@ -214,6 +228,7 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
     spring, bias, half = load(law, SPRING, lanes), load(law, BIAS, lanes), 0.5 * load(law, GAP, lanes)
     offset = load(law, OFFSET, lanes) + spring * load(law, REST, lanes)
     stiction, yields = load(law, STICTION, lanes), (load(law, SOFT, lanes), load(law, YIELDS, lanes))
+    ahead, loop_ahead = viscous * load(law, AHEAD, lanes), kd * load(law, LOOP_AHEAD, lanes)
     sticks = some(stiction > 0.0)
     per_speed = 1.0 / select(stiction > 0.0, load(law, SPEED, lanes), 1.0)
     inertia, weight = load(terms, INERTIA, lanes) + load(law, ARMATURE, lanes), load(terms, LOAD, lanes)
@@ -223,14 +238,14 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
         torque = torque - clip(torque, 0.0 - dead, dead) - kd * v
         limited = clip(torque, low, high)
         rubbing = turning + viscous + drag * magnitude(v)
-        damping = rubbing + drag * magnitude(v) + select(limited != torque, 0.0, kd)
+        clamped = limited != torque
+        damping = rubbing + drag * magnitude(v) + select(clamped, 0.0, kd)
         net = limited + offset - weight - (slope + spring) * (x - bias) - rubbing * v
         dry = load(law, DRY, lanes) + load(law, LOADED, lanes) * magnitude(limited)
         if sticks:
             ratio = v * per_speed
             dry = dry + stiction * faded(ratio * ratio)
-        resists = inertia + h * damping
-        resists = select(resists > 0.1 * inertia, resists, 0.1 * inertia)
+        resists = resisting(inertia + ahead + select(clamped, 0.0, loop_ahead), h * damping)
         v, bend = slide(v, bend, net, resists, inertia, dry, load(law, GIVE, lanes), yields, h)
         x = x + h * v
         seen = clip(seen, x - half, x + half)

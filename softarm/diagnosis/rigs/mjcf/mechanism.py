@@ -18,6 +18,7 @@ from softarm.diagnosis.rigs.laws import joint as law
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 from softarm.diagnosis.rigs.mjcf.poses import Motion, PoseJoint
+from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
@@ -119,7 +120,7 @@ class Mechanism:
         self.path, self._mujoco = path, _mujoco(path)
         self.model = _loaded(self._mujoco, path)
         self.step_s = float(self.model.opt.timestep)
-        self.is_first_order = int(self.model.opt.integrator) != int(self._mujoco.mjtIntegrator.mjINT_RK4)
+        self.stepping = stepping(self._mujoco, self.model)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
         self._ratios, away = (self._closure.ratios(each) for each in (self._closure.zero(), self._closure.away()))
         self._follows = np.abs(away) > FOLLOWS  # degree of freedom, of another

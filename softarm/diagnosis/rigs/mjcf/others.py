@@ -1,6 +1,7 @@
 """Measured motion of the other joints of a mechanism, which loads a joint."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
+from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 from softarm.diagnosis.rigs.scales import white_noise
@@ -39,6 +41,14 @@ class OtherJoints:
     def terms_along(self, own: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along another motion of the joint, [ROWS, T]."""
         return [self._mechanism.terms(self._joint, course) for course in self._courses(own, self.around)]
+
+    def terms_late(self, late_s: float) -> Array:
+        """Return the rigid-body terms of all trials with the speeds of some time before, [ROWS, M]."""
+        own = [replace(m, speed=m.speed - late_s * m.acceleration) for m in self._own]
+        around = [{name: (x, v - late_s * a, a) for name, (x, v, a) in each.items()} for each in self.around]
+        found = self._terms(self._courses(own, around), Change())
+        found[laws.INERTIA] -= late_s * found[laws.BY_SPEED]  # the joint's own simulated speed
+        return found
 
     def smoothed(self, smooth: Callable[[Iterable[Array]], Array]) -> dict[str, tuple[Array, Array, Array]]:
         """Return position, speed and acceleration of each column, the joint's too, smoothed; smooth: of recordings."""

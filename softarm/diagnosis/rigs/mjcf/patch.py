@@ -12,7 +12,7 @@ import numpy as np
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism, mechanism
-from softarm.diagnosis.rigs.mjcf.own_errors import INTEGRATION, MASS
+from softarm.diagnosis.rigs.mjcf.own_errors import MASS
 from softarm.schemas.verdict import Verdict
 
 # Parameter of a joint's effect -> attribute of its `joint` element.
@@ -62,8 +62,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
             link = model.last_link(joint)
             at = link.place(found.get(f"{name}.payload.distance", 0.0))
             payloads.setdefault(link.body, []).append((value, *at))
-        elif parameter in ("payload.distance", INTEGRATION):
-            continue  # written with the mass; an error of the recording
+        elif parameter == "payload.distance":
+            continue  # written with the mass
         elif parameter.startswith("tilt."):
             tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)
         elif not _written(edits, joint, parameter, value, found):

@@ -13,12 +13,15 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes
+from softarm.diagnosis.rigs.mjcf.stepping import Stepping
 from softarm.diagnosis.rigs.motion import Motion, directions
 
 # Step of the numerical derivative by a window's start, in its uncertainty.
 NUDGED = 0.05
 # Whether dry friction lets the joint creep, as MuJoCo's does, 0 or 1.
 CREEP = "coulomb_friction.creep"
+# Whether the recordings come from a simulation with the model's own steps, 0 or 1.
+STEPPED = "simulation.stepped"
 # Parameters that are columns of the law.
 _COLUMNS = {
     "coulomb_friction.torque": laws.DRY,
@@ -46,6 +49,7 @@ class JointSimulation:
         joint: Joint,
         actuator: Actuator | None,
         slopes: Slopes,
+        steps: Stepping,
         motions: Sequence[Motion],
         inputs: Sequence[tuple[Array, Array]],
         each: int,
@@ -56,13 +60,14 @@ class JointSimulation:
             joint: the joint.
             actuator: its actuator, or None.
             slopes: rigid-body terms of all trials, and their changes.
+            steps: the model's own integration.
             motions: measured motion of each trial.
             inputs: stamps and integral of each trial's command; empty without an actuator.
             each: integration steps per sample.
         """
         self._joint, self._actuator, self._motions = joint, actuator, motions
         self._inputs, self._each = inputs, each
-        self._slopes = slopes
+        self._slopes, self._steps = slopes, steps
         self._drives = lru_cache(64)(self._driven)
 
     def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:
@@ -100,7 +105,7 @@ class JointSimulation:
             terms: rigid-body terms to start from, [ROWS, M], by default the own.
             moved: change of the windows' starts, [W, 2].
         """
-        bodies = [_body(at) for at in values]
+        bodies = [self._body(at) for at in values]
         paths = {body: self._slopes.at(body, terms) for body in dict.fromkeys(bodies)}
         inputs = laws.Inputs.of([self._drive(at) for at in values], [paths[body] for body in bodies])
         windows = self._windows._replace(starts=self._windows.starts + moved)
@@ -141,13 +146,16 @@ class JointSimulation:
         for path, column in _COLUMNS.items():
             law[column] = at.get(path, 0.0)
         law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
+        if at[STEPPED]:
+            law[laws.AHEAD], law[laws.LOOP_AHEAD] = self._steps.damping_s, self._steps.loop_s
         if at[CREEP]:
             law[laws.SOFT], law[laws.YIELDS], law[laws.GIVE] = joint.softness, joint.yields_per_s, 0.0
         return law
 
     def _drive(self, at: Values) -> Array:
         """Return the drive at every integration step, [M each]."""
-        delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0)
+        early_s = self._steps.half_s * at[STEPPED]
+        delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0) - early_s
         factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
         return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor)
@@ -166,13 +174,13 @@ class JointSimulation:
             found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
         return np.concatenate(found)
 
-
-def _body(at: Values) -> BodyChange:
-    """Return the change of the bodies and of the base in some values."""
-    return BodyChange(
-        mass_share=at.get("mass.scale", 0.0),
-        payload_kg=at.get("payload.mass", 0.0),
-        payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
-        length_share=at.get("length.scale", 0.0),
-        tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in "xyz" if at.get(f"tilt.{axis}")),
-    )
+    def _body(self, at: Values) -> BodyChange:
+        """Return the change of the rigid-body terms in some values."""
+        return BodyChange(
+            mass_share=at.get("mass.scale", 0.0),
+            payload_kg=at.get("payload.mass", 0.0),
+            payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
+            length_share=at.get("length.scale", 0.0),
+            tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in "xyz" if at.get(f"tilt.{axis}")),
+            late_s=self._steps.half_s * at[STEPPED],
+        )

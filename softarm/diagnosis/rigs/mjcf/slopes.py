@@ -9,6 +9,7 @@ import numpy as np
 
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 
 # Changes at which the terms are computed.
 MASS_STEP, PAYLOAD_STEP_KG, TILT_STEP_RAD = 0.1, 0.05, 0.05
@@ -16,13 +17,14 @@ LENGTH_SHARES = (-0.1, 0.0, 0.1)
 
 
 class BodyChange(NamedTuple):
-    """Fitted change of the bodies behind a joint and of the base."""
+    """Change of the rigid-body terms: of the bodies behind a joint, of the base, and of a simulation's steps."""
 
     mass_share: float
     payload_kg: float
     payload_m: float  # distance from the last joint
     length_share: float
     tilts_rad: tuple[tuple[str, float], ...] = ()  # axis, angle
+    late_s: float = 0.0  # time by which forces have earlier speeds
 
 
 class Slopes:
@@ -37,15 +39,17 @@ class Slopes:
         loaded: returns the change per kg of a payload at one of these places.
         longer: returns the change at one of LENGTH_SHARES of the joint's link.
         tilted: returns the change per rad of a tilt about one of the axes.
+        late: returns the change with forces of earlier speeds.
     """
 
-    def __init__(self, mechanism: Mechanism, joint: Joint, terms: Callable[[Change], Array]) -> None:
-        """Compute the terms of the model; terms: returns those of a changed model."""
+    def __init__(self, mechanism: Mechanism, joint: Joint, others: OtherJoints) -> None:
+        """Compute the terms of the model; others: motion of the other joints."""
         centre_m = mechanism.last_link(joint).centre_m
-        self._terms, self.base = terms, terms(Change())
+        self._others, self.base = others, others.terms(Change())
         self.distances_m = (0.0, centre_m, 2 * centre_m) if centre_m else (0.0,)
         self.axes = tuple(mechanism.level_axes)
         self.loaded, self.longer, self.tilted = cache(self._loaded), cache(self._longer), cache(self._tilted)
+        self.late = cache(lambda late_s: others.terms_late(late_s) - self.base)
 
     @cached_property
     def heavier(self) -> Array:
@@ -63,7 +67,7 @@ class Slopes:
             found = found + _interpolated(LENGTH_SHARES, self.longer, change.length_share)
         for axis, angle in change.tilts_rad:
             found = found + angle * self.tilted(axis)
-        return found
+        return found + self.late(change.late_s) if change.late_s else found
 
     def _loaded(self, distance_m: float) -> Array:
         return self._change(Change(payload_kg=PAYLOAD_STEP_KG, payload_m=distance_m)) / PAYLOAD_STEP_KG
@@ -75,7 +79,7 @@ class Slopes:
         return self._change(Change(tilts_rad={axis: TILT_STEP_RAD})) / TILT_STEP_RAD
 
     def _change(self, change: Change) -> Array:
-        return self._terms(change) - self.base
+        return self._others.terms(change) - self.base
 
 
 def _interpolated(nodes: Sequence[float], values: Callable[[float], Array], at: float) -> Array:

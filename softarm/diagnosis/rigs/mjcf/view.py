@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from softarm.diagnosis.rigs.mjcf.descriptions import right_description
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
-from softarm.diagnosis.rigs.mjcf.simulation import CREEP, JointSimulation
+from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
 from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
@@ -87,7 +86,6 @@ class JointView(RigView):
     shared = frozenset(("mass", "length", "payload", "tilt"))
     whole = frozenset(("payload", "tilt"))
     far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
-    variants = MappingProxyType({CREEP: 1.0})
 
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
@@ -102,7 +100,7 @@ class JointView(RigView):
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._sent = self._sampled_commands()
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._slopes = Slopes(self._mechanism, joint, self._others.terms)
+        self._slopes = Slopes(self._mechanism, joint, self._others)
         self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
@@ -114,7 +112,7 @@ class JointView(RigView):
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
-        self._known = neutral_values(own) | self._nominal() | given | {CREEP: 0.0}
+        self._known = neutral_values(own) | self._nominal() | given | {CREEP: 0.0, STEPPED: 0.0}
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
         self.curved = self._bends = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
         (friction,) = (effect for effect in own if effect.name == f"{stage.name}.coulomb_friction")
@@ -132,13 +130,16 @@ class JointView(RigView):
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self._own_floor = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
-        self._simulation = JointSimulation(joint, self._actuator, self._slopes, self._motions, self._inputs, self._each)
+        self._simulation = JointSimulation(
+            joint, self._actuator, self._slopes, self._mechanism.stepping, self._motions, self._inputs, self._each
+        )
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
         self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
         self.measure_noise()
         self._zeros = self._zeros_of(trials)
+        self.variants = {CREEP: 1.0} | ({STEPPED: 1.0} if self._feels_steps() else {})
 
     def assume(self, path: str, value: float) -> None:
         """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
@@ -176,6 +177,11 @@ class JointView(RigView):
         """Return the noise floor, [1]; noise: change of the gap with noise of the other joints, which the gap has."""
         own, felt = self._own_floor, min(rms(noise), rms(self._raw_gaps([{}])))
         return np.array([np.hypot(own, felt if felt > FELT_NOISE * own else 0.0)])
+
+    def _feels_steps(self) -> bool:
+        """Return whether the steps of a simulation with the model would move the joint by more than noise."""
+        other, usual = self._raw_gaps([{f"{self.stage}.{STEPPED}": 1.0}, {}])
+        return bool(rms(other - usual) > FELT_NOISE * self.floor[0])
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
@@ -377,6 +383,11 @@ class JointView(RigView):
                 f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
                 "holds: the recordings may come from a simulation"
             )
+        if self._known[STEPPED]:
+            found.append(
+                f"{self.stage}: it moves as in a simulation with the model's own step of {self._mechanism.step_s:g} s, "
+                "whose error is taken into account: the recordings may come from a simulation"
+            )
         if (unsure := self._unsure_share) > UNSURE_WARNED:
             done = "left out" if unsure <= UNSURE_MOST else "kept, and sizes are less certain"
             found.append(
@@ -397,7 +408,7 @@ class JointView(RigView):
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
-        """Errors of a good model that are no effect: name -> share of a body's mass, or of the model's time step."""
+        """Errors of a good model that are no effect: name -> share of a body's mass."""
         return {f"{self.stage}.{name}": share for name, share in self._own_errors.items()}
 
     def own_directions(self) -> NDArray[np.float32]:
@@ -408,15 +419,12 @@ class JointView(RigView):
 
     @property
     def _own_errors(self) -> dict[str, float]:
-        of_mass = OF_OWN if self._scales.mass else 0.0
-        return own_errors.shares(self._mechanism, self._joint, of_mass, any(self._others.around))
+        return own_errors.shares(self._joint, OF_OWN if self._scales.mass else 0.0)
 
     @cached_property
     def _with_own_errors(self) -> list[Array]:
         """Rigid-body terms with each of these errors, [ROWS, M] each."""
-        model, joint, motions, around = self._mechanism, self._joint, self._motions, self._others.around
-        courses, found = self._others.courses, self._own_errors.items()
-        return [own_errors.terms(model, joint, name, size, motions, around, courses) for name, size in found]
+        return [own_errors.terms(self._others, name, size) for name, size in self._own_errors.items()]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

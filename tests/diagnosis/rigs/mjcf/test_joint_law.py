@@ -1,4 +1,4 @@
-"""The law of one joint against MuJoCo with hard friction, whose step it repeats, and against closed forms."""
+"""The law of one joint against MuJoCo with hard friction, and against closed forms."""
 
 import math
 
@@ -50,6 +50,14 @@ def simulated(parameters, drives, path=None, starts=((0.0, 0.0),)):
     return -laws.residuals(windows, laws.Inputs.of(drives, [path] * len(drives)), parameters, 1)
 
 
+def of_mujoco(robot, joint):
+    """Return the parameters of a driven joint that MuJoCo moves with its own steps."""
+    servo, steps = joint.actuator, robot.stepping
+    found = {"KP": servo.kp, "KD": servo.kd, "LOW": servo.low, "HIGH": servo.high}
+    found |= {"AHEAD": steps.damping_s, "LOOP_AHEAD": steps.loop_s}
+    return found | {"VISCOUS": joint.viscous, "DRY": joint.dry}
+
+
 HARD = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'
 
 
@@ -73,7 +81,7 @@ def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit, creeps):
     robot = Mechanism(file)
     path = robot.terms(joint, robot.course(joint, {"elbow": (q, v, np.zeros(3000))}))
     servo = joint.actuator
-    own = law(KP=servo.kp, KD=servo.kd, LOW=servo.low, HIGH=servo.high, VISCOUS=joint.viscous, DRY=joint.dry)
+    own = law(**of_mujoco(robot, joint))
     soft = own.copy()
     soft[laws.SOFT], soft[laws.YIELDS] = joint.softness, joint.yields_per_s
     rigid, creeping = (travelled(each, servo.scale * command, path) for each in (own, soft))
@@ -85,6 +93,14 @@ def test_a_servo_moves_as_in_mujoco(tmp_path, dry, kp, limit, creeps):
 def test_viscous_friction_lets_the_speed_decay():
     found = travelled(law(VISCOUS=0.5), np.zeros(4000), start=(0.0, 1.0))
     assert found[-1] == pytest.approx((1 - math.exp(-0.5 * 4)) / 0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.5, 5.0, 50.0, 5e4])
+def test_any_damping_is_right_to_second_order(damping):
+    """The mean speed of the step before a push from rest is that half a step before."""
+    t = H * np.arange(1000)
+    found = travelled(law(VISCOUS=damping), np.ones(1000), start=(0.0, -0.5 * H))
+    assert found == pytest.approx(t / damping - (1 - np.exp(-damping * t)) / damping**2, rel=0.01 * H, abs=H**2)
 
 
 def test_dry_friction_holds_a_joint_below_its_level_and_slows_it_above():

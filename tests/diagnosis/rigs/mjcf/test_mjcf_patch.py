@@ -106,11 +106,6 @@ def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
     assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
 
 
-def test_an_error_of_the_recording_is_not_patched():
-    found = patch.patched(ARM, verdict(calibration=[("elbow.integration", 0.5, "-")]), calibration=True)
-    assert (found.text, found.left_out) == (ARM.read_text(), ())
-
-
 def test_what_the_format_cannot_express_is_stated():
     found = patch.patched(ARM, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
     assert found.text == ARM.read_text()

@@ -69,14 +69,56 @@ def turret(folder, integrator):
 
 
 @pytest.mark.parametrize("integrator", ["Euler", pytest.param("implicitfast", marks=pytest.mark.prove)])
-def test_forces_of_the_step_before_are_calibrated_and_no_effect(tmp_path, integrator):
-    found = examine(turret(tmp_path, integrator))
+def test_the_steps_of_a_simulation_are_recognised_and_no_effect(tmp_path, integrator):
+    trials = turret(tmp_path, integrator)
+    without = float(np.sqrt(np.nanmean(view_of(trials)[0].gap([{}]) ** 2)))
+    found = examine(trials)
     assert found.decision.kind == "none"
-    (late,) = [one for one in found.calibration if one.name == "turret.integration"]
-    assert 0.3 < late.value < 0.9  # half a step
-    assert found.answer.calibrated < 0.5 * found.answer.before
+    assert any("the model's own step of 0.002 s" in text for text in found.warnings)
+    assert found.answer.before < 0.5 * without
+
+
+FINGER = """<mujoco>
+  <option timestep="0.01"><flag eulerdamp="disable"/></option>
+  <worldbody><body>
+    <joint name="finger" axis="0 1 0" damping="0.2" armature="0.0015" frictionloss="{dry}"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -0.05" size="0.01" mass="0.03"/>
+  </body></worldbody>
+  <actuator><position name="servo" joint="finger" kp="3"/></actuator>
+</mujoco>
+"""
+
+
+def servo(folder, dry):
+    """Return the trials of a finger that MuJoCo has moved with steps of 10 ms; dry: friction besides the model's."""
+    (folder / "robot.xml").write_text(FINGER.format(dry=0.02))
+    channels = "\n".join(
+        f"  {channel}:\n    time: {{source: t, unit: s}}\n    columns: {{{name}: {{source: {name}, unit: rad}}}}"
+        for channel, name in (("measured", "finger"), ("command", "servo"))
+    )
+    trials = "model: {mjcf: robot.xml}\ntrials: [{files: 'motion*.csv'}]\n"
+    (folder / "stage.yaml").write_text(f"kind: mujoco\nchannels:\n{channels}\n{trials}")
+    model, t = mujoco.MjModel.from_xml_string(FINGER.format(dry=0.02 + dry)), np.arange(1200) / 100
+    for seed in range(3):
+        data, random = mujoco.MjData(model), np.random.default_rng(seed)
+        phases = random.uniform(0, 2 * np.pi, 3)
+        goals = 0.2 * sum(np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.9, 1.7), phases, strict=True))
+        data.qpos[:], rows = goals[0], []
+        for data.ctrl[0] in goals:
+            rows.append((data.time, data.ctrl[0], data.qpos[0] + 2e-4 * random.normal()))
+            mujoco.mj_step(model, data)
+        file = folder / f"motion-{seed}.csv"
+        np.savetxt(file, rows, "%.7g", delimiter=",", header="t,servo,finger", comments="")
+    return tables.read(folder / "stage.yaml")
+
+
+@pytest.mark.parametrize(("dry", "names"), [(0.0, []), (0.03, ["finger.coulomb_friction"])])
+def test_long_steps_of_a_simulation_are_no_armature(tmp_path, dry, names):
+    found = examine(servo(tmp_path, dry))
+    assert [effect.name for effect in found.named] == names
+    assert found.answer.after < 1.5 * float(found.answer.floor)
 
 
 def test_an_integrator_of_higher_order_has_no_such_error(tmp_path):
     view, _ = view_of(turret(tmp_path, "RK4"))
-    assert list(view.own_nuisances) == ["turret.mass_base", "turret.mass_boom"]
+    assert "simulation.stepped" not in view.variants

@@ -8,7 +8,7 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
 from softarm.reality.mechanisms.record import ROBOTS
-from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, travelled
+from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, of_mujoco, travelled
 from tests.diagnosis.verdicts import effect, verdict, with_parameters
 
 STEPS = 900
@@ -57,12 +57,10 @@ def test_mujoco_moves_as_the_fitted_law(tmp_path, name, sizes, same):
     )
     true, speed, seen = flown(RuntimeEffects.read(file, model), model)
     joint = Mechanism(model).joint("elbow")
-    actuator = joint.actuator
-    known = {"KP": actuator.kp, "KD": actuator.kd, "LOW": actuator.low, "HIGH": actuator.high}
-    known |= {"VISCOUS": joint.viscous, "DRY": joint.dry}
     robot = Mechanism(model)
+    known = of_mujoco(robot, joint)
     path = robot.terms(joint, robot.course(joint, {"elbow": (true, speed, np.zeros(STEPS))}))
-    drive = actuator.scale * COMMAND
+    drive = joint.actuator.scale * COMMAND
     expected = travelled(law(**known, **same), drive, path, start=(seen[0], 0.0))
     without = travelled(law(**known), drive, path)
     assert np.abs(seen - expected).max() < 0.1 * np.abs(expected - without).max()
