@@ -94,10 +94,11 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
         raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
     with waiting("reading the recordings"):
         found = survey([path for path in data if path not in models])
+    joints = _joints(models[0]) if models else ()
+    found = of_joints.named(found, joints)
     _show(found)
     if models:
-        where, joints = os.path.relpath(models[0].resolve(), out.parent.resolve()), _joints(models[0])
-        leaders = partial(_leaders, models[0])
+        where, leaders = os.path.relpath(models[0].resolve(), out.parent.resolve()), partial(_leaders, models[0])
         proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, joints, where, leaders))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from softarm.common.quantity import factor
 from softarm.diagnosis.data.trials import TrialError
@@ -83,6 +83,19 @@ def propose(
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
     why = f"{len(found['measured'])} joints of the model are measured"
     return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+
+
+def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
+    """Return the columns of a model's recordings, whose names may end like a unit: `fl_kn` is no force in kN."""
+    names = {_plain(name) for joint in joints for name in (joint.name, joint.actuator)} - {""}
+
+    def read(signal: Signal) -> Signal:
+        source, header = str(signal.source), signal.header
+        if header.unit is None or not any(n in _plain(source) and n not in _plain(header.name) for n in names):
+            return signal
+        return replace(signal, header=replace(header, name=source, unit=None, quantity=""))
+
+    return replace(survey, signals=tuple(map(read, survey.signals)))
 
 
 def _poses(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, Signal]:

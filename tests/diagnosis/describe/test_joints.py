@@ -107,6 +107,21 @@ def test_measured_joints_without_any_command_are_an_error_that_names_their_actua
     assert "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings" in result.output
 
 
+def test_a_joint_whose_name_ends_like_a_unit_is_found(tmp_path, columns):
+    """Spot's knees are called fl_kn, and kN is a unit."""
+    model, data = tmp_path / "spot.xml", tmp_path / "run-1.csv"
+    model.write_text(ROBOTS["camera"].model.read_text().replace('"tilt"', '"fl_kn"'))
+    header = ",".join(new.replace("tilt", "fl_kn") for _, new, _ in USUAL)
+    table = np.stack([columns[old] for old, _, _ in USUAL], axis=1)
+    np.savetxt(data, table, delimiter=",", header=header, comments="")
+    out = tmp_path / "stage.yaml"
+    result = CliRunner().invoke(main, ["new", "rig", str(model), str(data), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    use = yaml.safe_load(out.read_text())["channels"]["measured"]["columns"]["fl_kn"]
+    assert use == {"source": "fl_kn", "unit": "rad"}
+    assert "Not used" not in out.read_text()
+
+
 def test_two_models_are_refused(tmp_path):
     for name in ("a.xml", "b.xml"):
         shutil.copy(ROBOTS["camera"].model, tmp_path / name)
