@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 
 import numpy as np
 
@@ -62,6 +61,8 @@ HALVINGS = 3
 TRIALS_LEAST = 4
 # Effects that a curved parameter is settled beside, and the rounds of their fits.
 LIKELY, SETTLING_ROUNDS = 4, 3
+# Energy of a gap above its noise, per sample, below which two gaps count as equal.
+SAME = 0.25
 # Share of the squared gap that remains next to such an effect at most, if it explains most of the gap; and with another
 # law of the nominal model, if that law is used.
 MOST = 0.5
@@ -196,37 +197,38 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
             if min(beside) < MOST * min(losses):
                 best = values[int(np.argmin(beside))]
             view.assume(path, best)
-    if view.variants:
-        _choose_laws(view, setup)
+    if len(view.laws) > 1:
+        _choose_law(view, setup)
     return setup()
 
 
-def _choose_laws(view: RigView, setup: Callable[[], Setup]) -> None:
-    """Assume the other laws of the nominal model that leave the smallest gap, or fewer if these leave about as much.
+def _choose_law(view: RigView, setup: Callable[[], Setup]) -> None:
+    """Assume the law that leaves the smallest gap, or the usual one if it leaves about as much beside the noise.
 
     The gap next to an effect counts if the effect explains most of it, and more than one that needs no effect.
     """
+    samples = int(np.isfinite(view.measured).sum())
 
     def left(law: Mapping[str, float]) -> float:
-        for path, value in law.items():
-            view.assume(path, value)
+        _assume(view, law)
         problem = setup().plain()
         alone, explained = (
-            min(fit.loss for fit in problem.fit(sets, SETTLING_ROUNDS))
+            min(fit.loss for fit in problem.fit(sets, SETTLING_ROUNDS)) / samples
             for sets in ([((), ())], _likely(problem, candidates(view)))
         )
         return min(alone, explained / MOST)
 
-    choices = product(*((view.nominal(path), other) for path, other in view.variants.items()))
-    laws = [dict(zip(view.variants, values, strict=True)) for values in choices]
-    losses = [left(law) for law in laws]
-    usual, good = laws[0], min(losses) / MOST
-    fitting = [law for law, loss in zip(laws, losses, strict=True) if loss <= good]
-    chosen = min(fitting, key=lambda law: sum(law[path] != usual[path] for path in law))
-    for path, value in chosen.items():
-        view.assume(path, value)
-    if chosen != usual:
+    losses = [left(law) for law in view.laws]
+    usual, least = (max(loss - 1.0, SAME) for loss in (losses[0], min(losses)))
+    chosen = int(np.argmin(losses)) if least < MOST * usual else 0
+    _assume(view, view.laws[chosen])
+    if chosen:
         view.measure_noise()
+
+
+def _assume(view: RigView, law: Mapping[str, float]) -> None:
+    for path, value in law.items():
+        view.assume(path, value)
 
 
 def _owns(candidate: Candidate, path: str) -> bool:
@@ -234,12 +236,13 @@ def _owns(candidate: Candidate, path: str) -> bool:
 
 
 def _likely(problem: FitProblem, known: Sequence[Candidate]) -> list[tuple[EffectSet, Coordinates]]:
-    """Return the effects that explain most at their best start, each as a set of its own."""
+    """Return the effects that explain most, each as a set of its own with its first fit."""
     sets: list[tuple[EffectSet, Coordinates]] = [((each,), (start,)) for each in known for start in each.starts]
-    found: dict[str, tuple[EffectSet, Coordinates]] = {}
+    begun: dict[str, tuple[EffectSet, Coordinates]] = {}
     for _, (effects, u) in sorted(zip(problem.losses(sets), sets, strict=True), key=lambda each: each[0]):
-        found.setdefault(effects[0].name, (effects, u))
-    return list(found.values())[:LIKELY]
+        begun.setdefault(effects[0].name, (effects, u))
+    fits = sorted(problem.fit([*begun.values()], SETTLING_ROUNDS), key=lambda fit: fit.loss)
+    return [(fit.effects, fit.u) for fit in fits[:LIKELY]]
 
 
 def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:

@@ -72,8 +72,8 @@ class RigView:
         original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
-        variants: other laws of the nominal model: 'effect.parameter' -> value of the other law. It is used if it leaves
-            a much smaller gap.
+        laws: laws that the nominal model may have, the usual ones first: 'effect.parameter' -> value. The first is used
+            that leaves about the smallest gap.
         driven_by: stages whose measured motion loads this stage.
         assumptions: warnings about the description, which hold before any fit.
         step_cost_s: processor time of a search per planned rollout and integration step, s; measured once.
@@ -88,7 +88,7 @@ class RigView:
     shared: frozenset[str] = frozenset()
     whole: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
-    variants: Mapping[str, float] = {}
+    laws: Sequence[Mapping[str, float]] = ()
     driven_by: frozenset[str] = frozenset()
     assumptions: tuple[str, ...] = ()
     _each = 1  # integration steps per sample
@@ -196,7 +196,7 @@ class RigView:
     @property
     def assumed(self) -> Mapping[str, float]:
         """Return the values that `assume` may have set: 'effect.parameter' -> value."""
-        return {path: self.nominal(path) for path in (*self.variants, *self.curved)}
+        return {path: self.nominal(path) for path in (*(self.laws[0] if self.laws else ()), *self.curved)}
 
     def hold(self, effect: str, sizes: Mapping[str, Interval]) -> None:
         """Put an effect into the nominal model; no fit moves it beyond the intervals of its parameters.

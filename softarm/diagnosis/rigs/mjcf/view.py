@@ -139,7 +139,8 @@ class JointView(RigView):
         self._unsure = np.zeros_like(self._free)
         self.measure_noise()
         self._zeros = self._zeros_of(trials)
-        self.variants = {CREEP: 1.0} | ({STEPPED: 1.0} if self._feels_steps() else {})
+        simulated = ((1.0, 0.0), (1.0, 1.0)) if self._feels_steps() else ((1.0, 0.0),)
+        self.laws = [{CREEP: creeps, STEPPED: stepped} for creeps, stepped in ((0.0, 0.0), *simulated)]
 
     def assume(self, path: str, value: float) -> None:
         """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
