@@ -1,5 +1,6 @@
 """`softarm check`: check a configuration and print its changed values, or check the stage.yaml of a rig."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,15 +107,30 @@ WARNINGS_MAX = 20  # printed; the rest is counted
 def check_stage(file: Path, data: Path | None) -> None:
     """Read every trial and column, build each stage's view, and print their contents. Exits with 1 for mistakes."""
     from softarm.diagnosis.data import tables
-    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.rigs.diagnose import merged
-    from softarm.diagnosis.rigs.stage import view_of
 
     trials = tables.read(file, data)
     columns = ("trial", "kind", "channel", "rows", "seconds", "column", "from", "to", "unit")
     rows = dict.fromkeys(row for trial in trials for row in _rows(trial))
     print_table(columns, [*rows], f"{file}: contents", width=140)
     stages = {trial.stage.name: trial.stage.kind for trial in trials if trial.stage is not None}
+    problems, assumptions = _examined(trials, [*stages])
+    warnings = merged([*(text for trial in trials for text in trial.warnings), *assumptions], [*stages])
+    for text in warnings[:WARNINGS_MAX]:
+        click.echo(f"warning: {text}", err=True)
+    if len(warnings) > WARNINGS_MAX:
+        click.echo(f"warning: and {len(warnings) - WARNINGS_MAX} more", err=True)
+    if problems:
+        fail("\n".join(problems))
+    count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}"
+    click.echo(f"{file}: valid; {count} of {', '.join(f'{name} ({kind})' for name, kind in stages.items())}")
+
+
+def _examined(trials: "Sequence[Trial]", stages: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Build the view of each stage, and return the mistakes and the warnings about the description."""
+    from softarm.diagnosis.data.trials import TrialError
+    from softarm.diagnosis.rigs.stage import view_of
+
     problems, assumptions = list[str](), list[str]()
     with bar("checking", len(stages)) as progress:
         for name in stages:
@@ -125,15 +141,7 @@ def check_stage(file: Path, data: Path | None) -> None:
             except TrialError as error:
                 problems.append(str(error))
             progress.advance()
-    warnings = merged([*(text for trial in trials for text in trial.warnings), *assumptions], [*stages])
-    for text in warnings[:WARNINGS_MAX]:
-        click.echo(f"warning: {text}", err=True)
-    if len(warnings) > WARNINGS_MAX:
-        click.echo(f"warning: and {len(warnings) - WARNINGS_MAX} more", err=True)
-    if problems:
-        fail("\n".join(problems))
-    count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}"
-    click.echo(f"{file}: valid; {count} of {', '.join(f'{name} ({kind})' for name, kind in stages.items())}")
+    return problems, assumptions
 
 
 def _rows(trial: "Trial") -> list[tuple[str, ...]]:

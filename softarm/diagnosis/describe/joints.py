@@ -50,7 +50,24 @@ def propose(
         Unknown: the stamps or their unit are unknown.
         TrialError: no column has the name of a joint.
     """
-    draft, found = Draft(survey, answers), dict[str, dict[str, Use]]()
+    draft = Draft(survey, answers)
+    found = _used(draft, joints)
+    for name, leader in leaders(found.get("measured", {})).items():
+        found.setdefault("base", {})[name] = found["measured"].pop(name)
+        draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
+    for joint in joints:
+        if joint.name in found.get("measured", {}) and not joint.actuator:
+            draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
+    if not found.get("measured"):
+        raise _unfound(survey, joints, model, tuple(found.get("base", ())))
+    stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
+    why = f"{len(found['measured'])} joints of the model are measured"
+    return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+
+
+def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use]]:
+    """Return the columns by channel and by the model's name for them."""
+    found = dict[str, dict[str, Use]]()
     poses = _poses(draft, joints)
     for joint in joints:
         if joint.name in poses:
@@ -72,17 +89,7 @@ def propose(
             found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
-    for name, leader in leaders(found.get("measured", {})).items():
-        found.setdefault("base", {})[name] = found["measured"].pop(name)
-        draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
-    for joint in joints:
-        if joint.name in found.get("measured", {}) and not joint.actuator:
-            draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
-    if not found.get("measured"):
-        raise _unfound(survey, joints, model, tuple(found.get("base", ())))
-    stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
-    why = f"{len(found['measured'])} joints of the model are measured"
-    return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+    return found
 
 
 def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
