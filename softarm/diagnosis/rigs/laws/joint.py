@@ -245,7 +245,8 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
         if sticks:
             ratio = v * per_speed
             dry = dry + stiction * faded(ratio * ratio)
-        resists = resisting(inertia + ahead + select(clamped, 0.0, loop_ahead), h * damping)
+        moved = inertia + ahead + select(clamped, 0.0, loop_ahead)
+        resists = resisting(select(moved > 0.1 * inertia, moved, 0.1 * inertia), h * damping)
         v, bend = slide(v, bend, net, resists, inertia, dry, load(law, GIVE, lanes), yields, h)
         x = x + h * v
         seen = clip(seen, x - half, x + half)

@@ -174,8 +174,12 @@ class Mechanism:
         shift[joint.position], speed[dof] = NUDGE, NUDGE_SPEED
         complete = self._closure.complete
         centre = complete(qpos, qvel, qacc, dof)
-        faster = complete(qpos, qvel + speed, qacc, dof, centre.position)
-        above, below = (complete(qpos + way, qvel, qacc, dof, centre.position) for way in (shift, -shift))
+        if joint.followers:
+            faster = complete(qpos, qvel + speed, qacc, dof, centre.position)
+            above, below = (complete(qpos + way, qvel, qacc, dof, centre.position) for way in (shift, -shift))
+        else:  # no other joint moves with it
+            faster = centre._replace(speed=centre.speed + speed)
+            above, below = (centre._replace(position=centre.position + way) for way in (shift, -shift))
         return Course((qpos[:, joint.position], qvel[:, dof]), centre, faster, above, below)
 
     def terms(self, joint: Joint, course: Course, change: Change = Change()) -> Array:

@@ -79,6 +79,14 @@ def test_joints_that_carry_a_closed_chain_are_no_part_of_it(tmp_path):
     assert {joint.name: set(joint.followers) for joint in carried.joints.values() if joint.followers} == {
         "crank": {"coupler", "rocker"}
     }
+    t = np.linspace(0, 1, 5)
+    motion = {name: (np.sin(t + k), np.cos(t + k), -np.sin(t + k)) for k, name in enumerate(("pan", "tilt", "roll"))}
+    course = carried.course(carried.joint("tilt"), motion | {"crank": (0.3 * t, np.full(5, 0.3), np.zeros(5))})
+    data = mujoco.MjData(carried.model)
+    for state in (course.centre, course.above, course.below):
+        for data.qpos[:] in state.position:
+            mujoco.mj_fwdPosition(carried.model, data)
+            assert data.efc_pos[: data.ne] == pytest.approx(0, abs=1e-5)
 
 
 def test_the_terms_of_a_closed_chain_give_the_torque_that_moved_it_in_mujoco(linkage, swung):
