@@ -21,8 +21,10 @@ APPROACH = 20
 DIFFERENCE_S = 1e-4
 # Turn of every joint from the model's zero, where the number of dependent joints is counted: zeros are often singular.
 AWAY = 0.1
-# Share of a Jacobian's column below which it depends on earlier ones.
+# Share of a Jacobian's column below which it depends on earlier ones, and ratio of speeds below which none follows.
 DEPENDS = 1e-6
+# Solved samples that are kept: the joints that carry a closed chain solve the same ones.
+KEPT = 60_000
 
 
 class State(NamedTuple):
@@ -33,6 +35,15 @@ class State(NamedTuple):
     acceleration: Array  # qacc [T, nv]
     along: Array  # speed of every degree of freedom per speed of one independent one, [T, nv]
     closed: NDArray[np.bool_]  # whether the equalities can be met, [T]
+
+
+class _Solution(NamedTuple):
+    """Solved equalities at one sample: D dependent and L leading degrees of freedom, E equalities."""
+
+    position: Array  # of the joints with dependent degrees of freedom
+    inverse: Array  # [D, E] of the Jacobian
+    ratios: Array  # [D, L] speeds of the dependent ones per speed of the leading ones
+    closed: bool
 
 
 class Closure:
@@ -55,6 +66,10 @@ class Closure:
         jacobian = self._met(self._moved(model.qpos0, self._way))
         self.dependent = np.array(_dependent(jacobian, order), dtype=int)
         self.independent = np.setdiff1d(np.arange(model.nv), self.dependent)
+        followed = np.abs(self.ratios(self.away())[np.ix_(self.dependent, self.independent)]) > DEPENDS
+        self._leading = self.independent[followed.any(axis=0)]
+        self._given, self._solved = self._coordinates(self._leading), self._coordinates(self.dependent)
+        self._solutions, self._biases = dict[bytes, _Solution](), dict[bytes, Array]()
 
     @property
     def is_open(self) -> bool:
@@ -89,18 +104,41 @@ class Closure:
         if self.is_open:
             found.along[:, dof] = 1.0
             return found
-        last = self._approached(position[0]) if near is None else near[0]
+        last, leads = None, self._leading == dof
         for k in range(size):
-            start = position[k].copy()
-            self._take_dependent(start, last if near is None else near[k])
-            last, jacobian, found.closed[k] = self._closed(start)
-            found.position[k] = last
-            inverse = self._inverse(jacobian)
-            ratios = self._ratios(jacobian, inverse)
-            found.along[k] = ratios[:, dof]
-            found.speed[k] = ratios @ speed[k]
-            found.acceleration[k] = ratios @ acceleration[k] + self._bias(last, inverse, found.speed[k])
+            key = position[k, self._given].tobytes()
+            if (solution := self._solutions.get(key)) is None:
+                if near is not None:
+                    last = near[k]
+                elif last is None:
+                    last = self._approached(position[k])
+                solution = self._solve(position[k], last)
+                _keep(self._solutions, key, solution)
+            found.position[k, self._solved], found.closed[k] = solution.position, solution.closed
+            last, moved = found.position[k], speed[k, self._leading]
+            found.speed[k, self.dependent] = solution.ratios @ moved
+            found.along[k, self.dependent] = solution.ratios @ leads
+            key += moved.tobytes()
+            if (bias := self._biases.get(key)) is None:
+                _keep(self._biases, key, bias := self._bias(last, solution.inverse, found.speed[k]))
+            found.acceleration[k, self.dependent] = solution.ratios @ acceleration[k, self._leading] + bias
+        found.along[:, dof] = 1.0
         return found
+
+    def _coordinates(self, dofs: Array) -> NDArray[np.int64]:
+        """Return the indices in qpos of the joints of some degrees of freedom."""
+        m = self._model
+        ends = np.append(m.jnt_qposadr[1:], m.nq)
+        blocks = [np.arange(m.jnt_qposadr[j], ends[j]) for j in np.unique(m.dof_jntid[dofs])]
+        return np.concatenate([np.arange(0), *blocks])
+
+    def _solve(self, position: Array, near: Array) -> _Solution:
+        """Return the solution at a position, from a closed one near it."""
+        start = position.copy()
+        self._take_dependent(start, near)
+        closed, jacobian, met = self._closed(start)
+        inverse = self._inverse(jacobian)
+        return _Solution(closed[self._solved], inverse, -inverse @ jacobian[:, self._leading], met)
 
     def _approached(self, goal: Array) -> Array:
         """Return a closed position near the first sample, reached from the model's zero in small steps."""
@@ -162,14 +200,11 @@ class Closure:
         return found
 
     def _bias(self, position: Array, inverse: Array, speed: Array) -> Array:
-        """Return the accelerations at constant speed of the independent degrees of freedom, [nv]."""
+        """Return the accelerations of the dependent degrees of freedom at constant speed of the others, [D]."""
         (after, _), (before, _) = (
             self._equalities(self._moved(position, sign * DIFFERENCE_S * speed)) for sign in (1.0, -1.0)
         )
-        change = (after - before) @ speed / (2 * DIFFERENCE_S)
-        found = np.zeros(self._model.nv)
-        found[self.dependent] = -inverse @ change
-        return found
+        return np.asarray(-inverse @ ((after - before) @ speed / (2 * DIFFERENCE_S)))
 
     def _moved(self, position: Array, way: Array) -> Array:
         moved = np.array(position, dtype=float)
@@ -182,6 +217,13 @@ class Closure:
         data.qpos[:] = position
         self._mujoco.mj_fwdPosition(self._model, data)
         return np.array(data.efc_J).ravel()[: data.ne * nv].reshape(data.ne, nv), np.array(data.efc_pos[: data.ne])
+
+
+def _keep(store: dict[bytes, Any], key: bytes, value: object) -> None:
+    """Store a value; a full store is emptied."""
+    if len(store) >= KEPT:
+        store.clear()
+    store[key] = value
 
 
 def _dependent(jacobian: Array, order: Sequence[int]) -> list[int]:
