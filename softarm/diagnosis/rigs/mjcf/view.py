@@ -57,7 +57,8 @@ from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neu
 GROWN = 10.0
 # Samples are averaged down to this rate: accelerations of coupled joints change within 5 ms.
 RATE_HZ = 500.0
-# Share of a load below which a mass has no effect, and of the floor below which noise of other joints does not count.
+# Share of a load below which a mass has no effect, and of the floor below which other joints' noise or a simulation's
+# steps do not count.
 FELT, FELT_NOISE = 1e-4, 0.35
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
@@ -379,15 +380,15 @@ class JointView(RigView):
     def warnings(self, point: Point) -> tuple[str, ...]:
         """Return warnings about motion of other joints between samples, and about zeros that differ."""
         found = [*self.assumptions]
-        if self._known[CREEP]:
-            found.append(
-                f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
-                "holds: the recordings may come from a simulation"
-            )
         if self._known[STEPPED]:
             found.append(
                 f"{self.stage}: it moves as in a simulation with the model's own step of {self._mechanism.step_s:g} s, "
                 "whose error is taken into account: the recordings may come from a simulation"
+            )
+        if self._known[CREEP] and self.value(point, "coulomb_friction.torque"):
+            found.append(
+                f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
+                "holds: the recordings may come from a simulation"
             )
         if (unsure := self._unsure_share) > UNSURE_WARNED:
             done = "left out" if unsure <= UNSURE_MOST else "kept, and sizes are less certain"

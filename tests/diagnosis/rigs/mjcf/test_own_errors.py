@@ -75,6 +75,7 @@ def test_the_steps_of_a_simulation_are_recognised_and_no_effect(tmp_path, integr
     found = examine(trials)
     assert found.decision.kind == "none"
     assert any("the model's own step of 0.002 s" in text for text in found.warnings)
+    assert not any("creep" in text for text in found.warnings)
     assert found.answer.before < 0.5 * without
 
 
