@@ -72,8 +72,8 @@ class RigView:
         original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
             value that leaves the smallest gap becomes that of the nominal model.
-        laws: laws that the nominal model may have, the usual ones first: 'effect.parameter' -> value. The first is used
-            that leaves about the smallest gap.
+        laws: laws that the nominal model may have, the usual ones first: 'effect.parameter' -> value. Others are used
+            if they leave a much smaller gap.
         driven_by: stages whose measured motion loads this stage.
         assumptions: warnings about the description, which hold before any fit.
         step_cost_s: processor time of a search per planned rollout and integration step, s; measured once.

@@ -48,7 +48,7 @@ class Actuators:
         self._mujoco, self._model, self._name_of = mujoco, model, name_of
         self._zero = closure.zero()
         self._moments, self._lengths = self._transmission(closure, self._zero)
-        self._elsewhere, _ = self._transmission(closure, closure.away())
+        self._elsewhere, _ = self._transmission(closure, closure.away)
         self._most = np.maximum(np.abs(self._moments), np.abs(self._elsewhere)).max(axis=1, initial=1e-300)
 
     def of(self, dof: int) -> tuple[Actuator | None, str]:

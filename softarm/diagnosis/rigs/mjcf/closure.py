@@ -21,8 +21,10 @@ APPROACH = 20
 DIFFERENCE_S = 1e-4
 # Turn of every joint from the model's zero, where the number of dependent joints is counted: zeros are often singular.
 AWAY = 0.1
-# Share of a Jacobian's column below which it depends on earlier ones, and ratio of speeds below which none follows.
+# Share of a Jacobian's column below which it depends on earlier ones.
 DEPENDS = 1e-6
+# Ratio of two speeds from which one joint follows the other, rad or m per rad or m.
+FOLLOWS = 1e-6
 # Solved samples that are kept: the joints that carry a closed chain solve the same ones.
 KEPT = 60_000
 
@@ -47,7 +49,13 @@ class _Solution(NamedTuple):
 
 
 class Closure:
-    """Equalities of a model, solved for the dependent degrees of freedom."""
+    """Equalities of a model, solved for the dependent degrees of freedom.
+
+    Attributes:
+        dependent, independent: degrees of freedom.
+        away: position away from the model's zero that meets the equalities, qpos [nq].
+        follows: whether a degree of freedom moves with another, [nv, nv].
+    """
 
     def __init__(self, mujoco: Any, model: Any, order: Sequence[int]) -> None:
         """Choose the dependent degrees of freedom.
@@ -62,11 +70,13 @@ class Closure:
         option.disableflags |= int(flags.mjDSBL_CONTACT) | int(flags.mjDSBL_LIMIT) | int(flags.mjDSBL_FRICTIONLOSS)
         option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
         self._data = mujoco.MjData(self._model)
-        self._way = AWAY * np.random.default_rng(0).uniform(0.5, 1.0, model.nv)
-        jacobian = self._met(self._moved(model.qpos0, self._way))
+        way = AWAY * np.random.default_rng(0).uniform(0.5, 1.0, model.nv)
+        jacobian = self._met(self._moved(model.qpos0, way))
         self.dependent = np.array(_dependent(jacobian, order), dtype=int)
         self.independent = np.setdiff1d(np.arange(model.nv), self.dependent)
-        followed = np.abs(self.ratios(self.away())[np.ix_(self.dependent, self.independent)]) > DEPENDS
+        self.away, _, _ = self._closed(self._moved(model.qpos0, way))
+        self.follows = np.abs(self.ratios(self.away)) > FOLLOWS
+        followed = self.follows[np.ix_(self.dependent, self.independent)]
         self._leading = self.independent[followed.any(axis=0)]
         self._given, self._solved = self._coordinates(self._leading), self._coordinates(self.dependent)
         self._solutions, self._biases = dict[bytes, _Solution](), dict[bytes, Array]()
@@ -79,15 +89,14 @@ class Closure:
     def ratios(self, position: Array) -> Array:
         """Return the speed of every degree of freedom per speed of each independent one at a position, [nv, nv]."""
         jacobian, _ = self._equalities(position)
-        return self._ratios(jacobian, self._inverse(jacobian))
+        found = np.zeros((self._model.nv, self._model.nv))
+        found[self.independent, self.independent] = 1.0
+        found[np.ix_(self.dependent, self.independent)] = -self._inverse(jacobian) @ jacobian[:, self.independent]
+        return found
 
     def zero(self) -> Array:
         """Return the position nearest to the model's zero that meets the equalities, qpos [nq]."""
         return self._closed(self._model.qpos0)[0]
-
-    def away(self) -> Array:
-        """Return a position away from the model's zero that meets the equalities, qpos [nq]."""
-        return self._closed(self._moved(self._model.qpos0, self._way))[0]
 
     def complete(
         self, position: Array, speed: Array, acceleration: Array, dof: int, near: Array | None = None
@@ -192,12 +201,6 @@ class Closure:
             return np.asarray(np.linalg.solve(own.T @ own, own.T))  # a quarter of the time of the general one
         except np.linalg.LinAlgError:
             return np.asarray(np.linalg.pinv(own))
-
-    def _ratios(self, jacobian: Array, inverse: Array) -> Array:
-        found = np.zeros((self._model.nv, self._model.nv))
-        found[self.independent, self.independent] = 1.0
-        found[np.ix_(self.dependent, self.independent)] = -inverse @ jacobian[:, self.independent]
-        return found
 
     def _bias(self, position: Array, inverse: Array, speed: Array) -> Array:
         """Return the accelerations of the dependent degrees of freedom at constant speed of the others, [D]."""

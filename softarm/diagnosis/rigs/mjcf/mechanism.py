@@ -23,8 +23,6 @@ from softarm.diagnosis.rigs.mjcf.stepping import stepping
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
-# Ratio of two speeds from which one joint follows the other, rad or m per rad or m.
-FOLLOWS = 1e-6
 # Distance of a link's centre of mass from its joint below which the link is balanced.
 LINK_SHORTEST_M = 1e-3
 
@@ -122,8 +120,7 @@ class Mechanism:
         self.step_s = float(self.model.opt.timestep)
         self.stepping = stepping(self._mujoco, self.model)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
-        self._ratios, away = (self._closure.ratios(each) for each in (self._closure.zero(), self._closure.away()))
-        self._follows = np.abs(away) > FOLLOWS  # degree of freedom, of another
+        self._ratios, self._follows = self._closure.ratios(self._closure.zero()), self._closure.follows
         self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
