@@ -44,7 +44,9 @@ _API = ("softarm/daemon/access", "softarm/daemon/api")
 _SIMULATOR = ("softarm/simulator", "softarm/schemas/model.py", "softarm/schemas/robot.py")
 _FLIGHTS = (*_CONTROL, *_SIMULATOR, "softarm/drivers/bodies", "softarm/evaluation", "softarm/policies")
 _TRAINING = (*_SIMULATOR, "softarm/training")
-_DIAGNOSIS = (*_SIMULATOR, "softarm/diagnosis")
+_ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engine", "diagnose.py"))
+_DIAGNOSIS = (*_SIMULATOR, *_ENGINE, "softarm/diagnosis/robot")  # of the soft arm
+_BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", "softarm/reality")
 _ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
 _DAEMON = "validation/daemon_process.py"
 
@@ -53,13 +55,13 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
     "adversary-tick": (*_CONTROL, *_ADVERSARY),
     "all": (*_FLIGHTS, "softarm/reality"),
-    "blind": (*_DIAGNOSIS, "softarm/reality"),
+    "blind": (*_BLIND, "softarm/diagnosis/baselines.py"),
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
     "card": (*_TRAINING, "softarm/common/braking.py", "benchmarks/card.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
     "closing": (*_FLIGHTS, *_DIAGNOSIS, "softarm/reality", "softarm/training", "validation/closing.py"),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
-    "detection": (*_DIAGNOSIS, "softarm/reality"),
+    "detection": _BLIND,
     "faults": (*_FLIGHTS, "softarm/reality"),
     "grid": _FLIGHTS,
     "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),
@@ -67,7 +69,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "needs": (*_TRAINING, "softarm/common/braking.py"),
     "planning": (*_TRAINING, "softarm/common/braking.py", "benchmarks/planning.py"),
-    "real": (*_DIAGNOSIS, "benchmarks/real_arm.py"),
+    "real": (*_ENGINE, "softarm/diagnosis/rigs", "benchmarks/real_arm.py"),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
