@@ -42,6 +42,7 @@ def test_the_notebook_of_a_flight_reaches_the_target(tmp_path: Path, monkeypatch
     assert (tmp_path / "swing.html").is_file()
 
 
+@pytest.mark.prove
 def test_the_notebook_of_a_diagnosis_names_the_hidden_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     # The last of its three recordings suffices and is diagnosed in a quarter of the time.

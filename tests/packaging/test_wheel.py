@@ -152,6 +152,7 @@ def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: 
     assert said.splitlines() == [f"True True {site}/softarm/__init__.py", "SoftArmReach-v0"]
 
 
+@pytest.mark.prove
 def test_the_wheel_alone_creates_a_configuration_and_a_service(installed: Path, tmp_path: Path) -> None:
     softarm = installed.with_name("softarm")
     run(softarm, "config", "new", cwd=tmp_path)

@@ -115,7 +115,9 @@ def servo(folder, sizes, dry):
     return tables.read(folder / "stage.yaml")
 
 
-@pytest.mark.parametrize(("sizes", "dry"), [(FINGER, 0.0), (FINGER, 0.1), (KNEE, 3.0)])
+@pytest.mark.parametrize(
+    ("sizes", "dry"), [(FINGER, 0.0), (FINGER, 0.1), pytest.param(KNEE, 3.0, marks=pytest.mark.prove)]
+)
 def test_a_simulated_position_loop_has_its_friction_and_nothing_else(tmp_path, sizes, dry):
     found = examine(servo(tmp_path, sizes, dry))
     assert [effect.name for effect in found.named] == (["elbow.coulomb_friction"] if dry else [])
