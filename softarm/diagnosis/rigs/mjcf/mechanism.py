@@ -1,7 +1,7 @@
 """Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
 
 import copy
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -43,6 +43,7 @@ class Joint:
     range: tuple[float, float]  # -inf, inf without a limit
     actuator: Actuator | None
     bodies: tuple[str, ...]  # that the joint moves
+    parts: Mapping[str, tuple[str, ...]]  # first body of each part that moves as one -> its bodies
     problem: str = ""  # why the model's actuators cannot be used
     followers: tuple[str, ...] = ()  # joints that the model's equalities make follow
     followers_dry: float = 0.0  # their dry friction, felt at the joint
@@ -73,7 +74,7 @@ class Change:
     payload_kg: float = 0.0  # point mass on the line of the joint's last link
     payload_m: float = 0.0  # its distance from the start of that link
     length_share: float = 0.0  # of the link between the joint and the next one, with its mass as it is
-    body: str = ""  # mass_share is that of this body alone
+    bodies: tuple[str, ...] = ()  # mass_share is that of these bodies alone
     tilts_rad: Mapping[str, float] = field(default_factory=dict)  # small rotations of the base about `level_axes`
 
 
@@ -306,7 +307,7 @@ class Mechanism:
         number = self.model.dof_jntid[joint.dof]
         model.dof_damping[joint.dof], model.dof_armature[joint.dof] = 0.0, joint.armature
         model.jnt_stiffness[number] = 0.0
-        bodies = [self._body(change.body)] if change.body else self._moved(joint.dof)
+        bodies = [*map(self._body, change.bodies)] or self._moved(joint.dof)
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
         if change.length_share:
@@ -376,6 +377,19 @@ class Mechanism:
         followers = np.flatnonzero(self._follows[:, dof])
         return sorted({body for each in followers for body in self._behind(int(each))})
 
+    def _parts(self, dof: int, apart: bool) -> dict[str, tuple[str, ...]]:
+        """Return the parts that a joint moves: first body -> all bodies of the part.
+
+        A part consists of the bodies that the same joints move. If `apart`, it is one rigid link, since followers of
+        the joint itself move differently.
+        """
+        bodies, found = self._moved(dof), dict[Hashable, list[str]]()
+        moved = [{*self._moved(int(each))} for each in self._closure.independent]
+        for body in bodies:
+            key = int(self.model.body_weldid[body]) if apart else tuple(body in each for each in moved)
+            found.setdefault(key, []).append(self._name("body", body))
+        return {names[0]: tuple(names) for names in found.values()}
+
     def _order(self, measured: Collection[str], moved: Collection[str]) -> list[int]:
         """Return all degrees of freedom, the last joint of the model first and measured joints last."""
         names = [self._name("joint", int(number)) for number in self.model.dof_jntid]
@@ -407,6 +421,7 @@ class Mechanism:
             range=(float(low), float(high)),
             actuator=actuator,
             bodies=tuple(self._name("body", i) for i in self._moved(dof)),
+            parts=self._parts(dof, bool(followers)),
             problem=f"{self.path}: {problem}" if problem else "",
             followers=tuple(dict.fromkeys(self._name("joint", int(m.dof_jntid[each])) for each in followers)),
             followers_dry=float(np.abs(ratios[followers]) @ m.dof_frictionloss[followers]),

@@ -57,7 +57,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
         if parameter.startswith(MASS):
-            shares.setdefault(parameter.removeprefix(MASS), []).append(value)
+            for body in joint.parts[parameter.removeprefix(MASS)]:
+                shares.setdefault(body, []).append(value)
         elif parameter == "payload.mass":
             link = model.last_link(joint)
             at = link.place(found.get(f"{name}.payload.distance", 0.0))

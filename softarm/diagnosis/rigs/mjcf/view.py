@@ -426,7 +426,7 @@ class JointView(RigView):
     @cached_property
     def _with_own_errors(self) -> list[Array]:
         """Rigid-body terms with each of these errors, [ROWS, M] each."""
-        return [own_errors.terms(self._others, name, size) for name, size in self._own_errors.items()]
+        return [own_errors.terms(self._others, self._joint, name, size) for name, size in self._own_errors.items()]
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

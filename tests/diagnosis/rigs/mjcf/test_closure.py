@@ -118,6 +118,13 @@ def test_an_angle_that_the_chain_cannot_reach_is_left_out(linkage):
     assert held.tolist() == [False, False, True]
 
 
+def test_fingers_are_one_part_of_the_wrist_and_parts_of_their_own_joint(tmp_path):
+    (tmp_path / "gripper.xml").write_text(GRIPPER)
+    joints = Mechanism(tmp_path / "gripper.xml", ("wrist", "left")).joints
+    assert joints["wrist"].parts == {"palm": ("palm",), "left": ("left", "right")}
+    assert joints["left"].parts == {"left": ("left",), "right": ("right",)}
+
+
 @pytest.mark.parametrize(("measured", "other"), [("left", "right"), ("right", "left")])
 def test_a_tendon_and_an_equality_make_two_fingers_one_joint(tmp_path, measured, other):
     file = tmp_path / "gripper.xml"

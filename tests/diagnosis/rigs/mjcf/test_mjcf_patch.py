@@ -106,6 +106,18 @@ def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
     assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
 
 
+def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
+    body = '<body name="{}">{}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    link, plate, tip = (
+        body.format(name, joint and f'<joint name="{joint}"/>')
+        for name, joint in (("link", "j"), ("plate", ""), ("tip", "k"))
+    )
+    file = tmp_path / "robot.xml"
+    file.write_text(f"<mujoco><worldbody>{link}{plate}</body>{tip}</body></body></worldbody></mujoco>")
+    found = read(patch.patched(file, verdict(calibration=[("j.mass_link", 0.02, "-")]), calibration=True), tmp_path)
+    assert [found.body(name).mass[0] for name in ("link", "plate", "tip")] == pytest.approx([1.02, 1.02, 1.0])
+
+
 def test_what_the_format_cannot_express_is_stated():
     found = patch.patched(ARM, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
     assert found.text == ARM.read_text()
