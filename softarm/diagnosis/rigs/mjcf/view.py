@@ -62,10 +62,8 @@ RATE_HZ = 500.0
 FELT, FELT_NOISE = 1e-4, 0.35
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
-# Share of the samples that may be left out because the other joints move too fast between samples.
-UNSURE_MOST = 0.5
-# Share from which a warning says so.
-UNSURE_WARNED = 0.1
+# Share of the samples that may be left out because other joints move too fast between samples, and that is reported.
+UNSURE_MOST, UNSURE_WARNED = 0.5, 0.1
 # Samples without a contact or a limit that a joint needs.
 FREE_LEAST = 100
 # Margin to a joint's limit or a contact within which samples are left out, s.
@@ -382,19 +380,20 @@ class JointView(RigView):
         found = [*self.assumptions]
         if self._known[STEPPED]:
             found.append(
-                f"{self.stage}: it moves as in a simulation with the model's own step of {self._mechanism.step_s:g} s, "
-                "whose error is taken into account: the recordings may come from a simulation"
+                f"{self.stage}: the motion has the errors of a simulation with the model's own step of "
+                f"{self._mechanism.step_s:g} s, which are taken into account: the recordings may come from a simulation"
             )
         if self._known[CREEP] and self.value(point, "coulomb_friction.torque"):
             found.append(
-                f"{self.stage}: its dry friction lets it creep as MuJoCo's soft friction does, where real friction "
-                "holds: the recordings may come from a simulation"
+                f"{self.stage}: the dry friction creeps as MuJoCo's soft friction does, where real friction holds: "
+                "the recordings may come from a simulation"
             )
         if (unsure := self._unsure_share) > UNSURE_WARNED:
-            done = "left out" if unsure <= UNSURE_MOST else "kept, and sizes are less certain"
+            left_out = unsure <= UNSURE_MOST
+            share, done = (UNSURE_WARNED, "left out") if left_out else (UNSURE_MOST, "kept, and sizes are less certain")
             found.append(
-                f"{self.stage}: {unsure:.0%} of the samples depend on motion of other joints between two samples "
-                f"and are {done}; record at a higher rate, or move fewer joints at once"
+                f"{self.stage}: more than {share:.0%} of the samples depend on motion of other joints between two "
+                f"samples and are {done}; record at a higher rate, or move fewer joints at once"
             )
         if apart := self._zeros.apart(self._raw_gaps([point])):
             found.append(

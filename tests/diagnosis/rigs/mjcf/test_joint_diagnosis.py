@@ -73,7 +73,7 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     view, used = view_of(trials)
     settled(view, [trial.kind for trial in used.trials], used.origins)
     assert view.nominal("coulomb_friction.creep") == creeps
-    assert any("creep as MuJoCo" in text for text in view.warnings({})) == creeps
+    assert any("creeps as MuJoCo" in text for text in view.warnings({})) == creeps
     (named,) = diagnose_table(trials).verdict.effects
     assert named.name == "elbow.coulomb_friction"
     assert named.parameters["torque"].value == pytest.approx(0.7, abs=0.02)
