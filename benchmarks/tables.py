@@ -439,9 +439,7 @@ _MEASURES = {
     "right in all": "right in all parts",
     "right stage": "right stage",
     "single, exact": "one effect, exact",
-    "single at half strength, exact": "one at half strength, exact",
     "two, exact": "two effects, exact",
-    "two, the second at half strength, exact": "two, the second at half strength, exact",
     "three, exact": "three effects, exact",
     "known, a wrong name beside": "known cause, also a wrong name",
     "unknown, given a name": "unknown cause, given a name",
@@ -451,7 +449,7 @@ _MEASURES = {
 
 def blind_methods(read: Read) -> str:
     """Return the main measures of the diagnosis and of simpler rules on the same robots."""
-    methods = read("blind-baselines")["methods"]
+    methods = read("blind")["methods"]
     rows = [
         [title, *(_share(method["measures"][name]) for method in methods.values())] for name, title in _MEASURES.items()
     ]
