@@ -49,7 +49,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     if not found:
         return None
     before = path.read_text()
-    model, edits, left_out = mechanism(path, {place.partition(".")[0] for place in found}), _Edits(before), []
+    stages = {*verdict.where.share, *(place.partition(".")[0] for place in found)}
+    model, edits, left_out = mechanism(path, stages), _Edits(before), []
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
     tilts: dict[str, list[float]] = {}  # axis -> the base's tilt about it by each joint that it loads, rad
@@ -57,7 +58,8 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
         if parameter.startswith(MASS):
-            for body in joint.parts[parameter.removeprefix(MASS)]:
+            first = parameter.removeprefix(MASS)
+            for body in joint.parts.get(first, (first,)):
                 shares.setdefault(body, []).append(value)
         elif parameter == "payload.mass":
             link = model.last_link(joint)
