@@ -24,7 +24,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
-from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.rigs import experiments, subsample
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
@@ -153,13 +153,15 @@ def examine(
         budget_s: processor time, s.
         report: called with the current step and the finished share, 0 to 1.
     """
-    view, used = view_of(trials)
+    whole, windows = view_of(trials)
+    view, used = whole, windows
     notes: tuple[str, ...] = ()
     if (reduced := subsample.within(budget_s, view, used)) is not None:
         used, note = reduced
         view, notes = VIEWS[stage_of(trials).kind](used.trials), (note,)
     for each in held:
-        view.hold(each.effect, each.sizes)
+        for one in {view, whole}:
+            one.hold(each.effect, each.sizes)
     kinds = [t.kind for t in used.trials]
     setup = settled(view, kinds, used.origins)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
@@ -168,7 +170,9 @@ def examine(
         search = replace(search, restarts=RESTARTS_BOUND)
     thresholds = replace(thresholds, search=search)
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view), view.original)
-    finding = _Stage(view, used, found, [each.named for each in held if each.named is not None]).finding()
+    _assume(whole, view.assumed)
+    known = [each.named for each in held if each.named is not None]
+    finding = _Stage(view, used, found, known, (whole, windows)).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))
 
 
@@ -287,9 +291,23 @@ def estimates(found: Examination, fit: Fit, name: str) -> dict[str, Estimate]:
 class _Stage:
     """Assembly of a stage's finding from the examination of its view."""
 
-    def __init__(self, view: RigView, used: Stretches, found: Examination, known: Sequence[NamedEffect]) -> None:
-        """Prepare the figures of a stage; known: named effects that the view holds."""
-        self.view, self.trials, self.found, self.known = view, used.trials, found, known
+    def __init__(
+        self,
+        view: RigView,
+        used: Stretches,
+        found: Examination,
+        known: Sequence[NamedEffect],
+        whole: tuple[RigView, Stretches],
+    ) -> None:
+        """Prepare the figures of a stage.
+
+        Args:
+            view, used: view of the stretches that the search has used.
+            found: its examination.
+            known: named effects that the view holds.
+            whole: view of all stretches, with the same nominal model.
+        """
+        self.view, self.trials, self.found, self.known, self.whole = view, used.trials, found, known, whole
         self.choice, self.decision = found.choice, found.decide()
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
@@ -350,10 +368,19 @@ class _Stage:
             return None
         held = {path: self.view.nominal(path.partition(".")[2]) for path in self.view.original}
         values = {path: x for path, x in {**held, **tuned.values, **fit.point}.items() if math.isfinite(x)}
+        if self._worsens(values):
+            return None
         return BestFit(
             parameters={path: Quantity(value=x, unit=self._unit(path)) for path, x in values.items()},
             after=Quantity(value=tuned.rms[stage], unit=self.view.unit),
         )
+
+    def _worsens(self, point: Point) -> bool:
+        """Return whether a model has more than noise more gap in all of a recording than the nominal model."""
+        view, stretches = self.whole
+        squares = [(np.nan_to_num(gap) ** 2).sum(axis=1) for gap in view.gap([view.original, point]).astype(float)]
+        recording, noise = np.array(stretches.origins)[view.trial], float(np.sum(view.floor**2))
+        return bool((np.bincount(recording, squares[1] - squares[0] - noise) > 0).any())
 
     def _answer(self) -> StageAnswer:
         view, found, fit = self.view, self.found, self.fit

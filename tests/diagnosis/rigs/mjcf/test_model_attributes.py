@@ -114,3 +114,10 @@ def test_a_gap_without_a_steady_cause_has_a_best_fit(tmp_path):
     assert (found.decision.kind, found.named) == ("unknown", ())
     assert found.best_fit.after.value < 0.7 * found.answer.before
     assert any("--best-fit writes it" in text for text in found.warnings)
+
+
+@pytest.mark.prove
+def test_a_model_that_enlarges_the_gap_of_a_recording_is_no_best_fit(tmp_path):
+    for k, friction in enumerate((0.3, 0.35, 0.4, 0.0)):
+        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
+    assert examine(elbows(tmp_path, ROBOT)).best_fit is None
