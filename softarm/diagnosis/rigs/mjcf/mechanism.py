@@ -122,6 +122,7 @@ class Mechanism:
         self.stepping = stepping(self._mujoco, self.model)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
         self._ratios, self._follows = self._closure.ratios(self._closure.zero()), self._closure.follows
+        self._moved_by = [{*self._moved(int(dof))} for dof in self._closure.independent]
         self._bodies = copy.copy(self.model)  # without everything but rigid bodies, gravity, fluid and tendons
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
@@ -384,9 +385,8 @@ class Mechanism:
         the joint itself move differently.
         """
         bodies, found = self._moved(dof), dict[Hashable, list[str]]()
-        moved = [{*self._moved(int(each))} for each in self._closure.independent]
         for body in bodies:
-            key = int(self.model.body_weldid[body]) if apart else tuple(body in each for each in moved)
+            key = int(self.model.body_weldid[body]) if apart else tuple(body in each for each in self._moved_by)
             found.setdefault(key, []).append(self._name("body", body))
         return {names[0]: tuple(names) for names in found.values()}
 
