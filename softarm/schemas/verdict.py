@@ -98,7 +98,8 @@ class BestFit(Strict):
     """
 
     parameters: dict[str, Quantity]  # stage.effect.parameter, calibrated ones included
-    after: Quantity  # root mean square with them; held out
+    before: Quantity  # root mean square of the gap when whole recordings are simulated
+    after: Quantity  # the same with the parameters, held out
 
 
 class Where(Strict):

@@ -70,6 +70,6 @@ def with_parameters(effects=(), calibration=(), best_fit=()):
     fits = {}
     for path, value, unit in best_fit:
         fits.setdefault(path.partition(".")[0], {})[path] = Quantity(value=value, unit=unit)
-    after = Quantity(value=1.0, unit="rad")
-    best = {stage: BestFit(parameters=each, after=after) for stage, each in fits.items()}
+    before, after = Quantity(value=2.0, unit="rad"), Quantity(value=1.0, unit="rad")
+    best = {stage: BestFit(parameters=each, before=before, after=after) for stage, each in fits.items()}
     return verdict("named", *of, calibration=calibrated, best_fit=best)

@@ -42,7 +42,10 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
         stage: fit.model_copy(
             update={
                 "parameters": {p: _scaled(of, own.get(p, (of.unit, 1.0))) for p, of in fit.parameters.items()},
-                "after": _scaled(fit.after, _own(fit.after.unit, units.get(stage, {}))),
+                **{
+                    when: _scaled(gap, _own(gap.unit, units.get(stage, {})))
+                    for when, gap in (("before", fit.before), ("after", fit.after))
+                },
             }
         )
         for stage, fit in verdict.best_fit.items()

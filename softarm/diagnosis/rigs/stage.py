@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import StageAnswer, share
-from softarm.diagnosis.answer.calibration import Calibrated, calibrated
+from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
@@ -20,14 +21,16 @@ from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.fitted import FittedChoice
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
-from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.rigs import experiments, subsample
-from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.best_fit import best_fit, next_to, setup_of
+from softarm.diagnosis.rigs.candidates import candidates
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.mjcf.view import JointView
@@ -41,7 +44,6 @@ from softarm.schemas.verdict import (
     Interval,
     NamedEffect,
     NextExperiment,
-    Quantity,
     Shrink,
 )
 from softarm.simulator.effects import Effect
@@ -145,7 +147,7 @@ def examine(
     budget_s: float = math.inf,
     report: Progress = lambda text, share: None,
 ) -> Finding:
-    """Diagnose one stage from its trials, or from the most informative stretches if the budget binds.
+    """Diagnose one stage from its trials; if the budget binds, the search uses the most informative stretches.
 
     Args:
         trials: trials of the stage.
@@ -153,26 +155,34 @@ def examine(
         budget_s: processor time, s.
         report: called with the current step and the finished share, 0 to 1.
     """
+
+    def holding(view: RigView) -> RigView:
+        for each in held:
+            view.hold(each.effect, each.sizes)
+        return view
+
     whole, windows = view_of(trials)
-    view, used = whole, windows
-    notes: tuple[str, ...] = ()
-    if (reduced := subsample.within(budget_s, view, used)) is not None:
+    reduced, notes = subsample.within(budget_s, whole, windows), list[str]()
+    view, used = holding(whole), windows
+    if reduced is not None:
         used, note = reduced
-        view, notes = VIEWS[stage_of(trials).kind](used.trials), (note,)
-    for each in held:
-        for one in {view, whole}:
-            one.hold(each.effect, each.sizes)
-    kinds = [t.kind for t in used.trials]
-    setup = settled(view, kinds, used.origins)
+        view, notes = holding(VIEWS[stage_of(trials).kind](used.trials)), [note]
+    setup = settled(view, used.kinds, used.origins)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
     search = replace(thresholds.search, refit=view.restarts_few_effects)
     if notes:  # each repeat costs as much as the search
         search = replace(search, restarts=RESTARTS_BOUND)
     thresholds = replace(thresholds, search=search)
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view), view.original)
-    _assume(whole, view.assumed)
     known = [each.named for each in held if each.named is not None]
-    finding = _Stage(view, used, found, known, (whole, windows)).finding()
+    fitted: FittedChoice = found
+    if reduced is not None:
+        used = subsample.for_sizes(budget_s, whole, windows, found.choice.chosen.effects)
+        if used is not windows:
+            whole = holding(VIEWS[stage_of(trials).kind](used.trials))
+        whole.adopt(view.assumed)
+        fitted = found.on(setup_of(whole, used.kinds, used.origins))
+    finding = _Stage(found, fitted, used.trials, known).finding()
     return replace(finding, warnings=(*notes, *finding.warnings))
 
 
@@ -184,7 +194,7 @@ def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setu
     """
 
     def setup() -> Setup:
-        return Setup([view], nuisances(view), kinds, origins, view.block_s)
+        return setup_of(view, kinds, origins)
 
     def least(path: str, value: float, sets: Sequence[tuple[EffectSet, Coordinates]]) -> float:
         view.assume(path, value)
@@ -260,7 +270,7 @@ def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Ar
     return u - np.hypot(below, law), u + np.hypot(above, law)
 
 
-def squares_of(found: Examination, fit: Fit, stage: str) -> Array:
+def squares_of(found: FittedChoice, fit: Fit, stage: str) -> Array:
     """Return the squares of a stage's gap by recording, [K], or by block if there is only one recording.
 
     Each block is simulated with the effects that were fitted without its fold, and without calibration.
@@ -275,7 +285,7 @@ def squares_of(found: Examination, fit: Fit, stage: str) -> Array:
     return summed
 
 
-def estimates(found: Examination, fit: Fit, name: str) -> dict[str, Estimate]:
+def estimates(found: FittedChoice, fit: Fit, name: str) -> dict[str, Estimate]:
     """Return the parameters of an effect of a fit, with their intervals, by the parameter's own name."""
     at, bounds = fit.names.index(name), found.interval(fit)
     first, sizes = sum(len(each.parameters) for each in fit.effects[:at]), {}
@@ -292,33 +302,29 @@ class _Stage:
     """Assembly of a stage's finding from the examination of its view."""
 
     def __init__(
-        self,
-        view: RigView,
-        used: Stretches,
-        found: Examination,
-        known: Sequence[NamedEffect],
-        whole: tuple[RigView, Stretches],
+        self, found: Examination, fitted: FittedChoice, trials: Sequence[Trial], known: Sequence[NamedEffect]
     ) -> None:
         """Prepare the figures of a stage.
 
         Args:
-            view, used: view of the stretches that the search has used.
-            found: its examination.
+            found: examination of the stage.
+            fitted: its choice on the data of the figures.
+            trials: trials of these data.
             known: named effects that the view holds.
-            whole: view of all stretches, with the same nominal model.
         """
-        self.view, self.trials, self.found, self.known, self.whole = view, used.trials, found, known, whole
+        (self.view,) = cast("tuple[RigView]", fitted.setup.views)
+        self.found, self.fitted, self.trials, self.known = found, fitted, trials, known
         self.choice, self.decision = found.choice, found.decide()
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
             self.decision = replace(self.decision, kind=kind, noise=False)
-        self.fit = found.named(self.decision)
-        self._units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
+        self.fit = fitted.named(self.decision)
+        self._units = {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
         self.calibrated = self._calibrated(self.fit)
         self.best_fit = self._best_fit()
-        self.nominal: Array = view.gap([view.original])[0].astype(float)
-        self.without = found.without_each(self.fit)
-        self.left_squares = squares_of(found, self.fit, view.stage)
+        self.nominal: Array = self.view.gap([self.view.original])[0].astype(float)
+        self.without = fitted.without_each(self.fit)
+        self.left_squares = squares_of(fitted, self.fit, self.view.stage)
 
     def finding(self) -> Finding:
         """Return the complete finding."""
@@ -337,7 +343,7 @@ class _Stage:
             best_fit=self.best_fit,
             rivals=rivals.by_share(found, decision),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
-            held_out=found.setup.held_out,
+            held_out=self.fitted.setup.held_out,
             vocabulary=view.effects,
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
@@ -346,10 +352,7 @@ class _Stage:
 
     def _calibrated(self, fit: Fit) -> Calibrated:
         """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found."""
-        found, problem = self.found, self.found.verdict_problem
-        free = np.array([path not in self.view.held for path in problem.nuisance_paths])
-        problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
-        return calibrated(found.setup, problem, found.plain, fit, self._unit)
+        return next_to(self.fitted.setup, self.fitted.verdict_problem, fit, self._unit)
 
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)
@@ -358,32 +361,11 @@ class _Stage:
         """Return the effects that predict best if the named ones, which leave a gap, predict less or change others."""
         if self.decision.kind not in ("incomplete", "unknown"):
             return None
-        stage, best = self.view.stage, self.found.search.predicting(self.choice.chosen, self.view.shared)
-        if best is None or not best.effects:
-            return None
-        (fit,) = self.found.held_out([best])
-        tuned = self._calibrated(fit)
-        shares = any(name.rpartition(".")[2] in self.view.shared for name in self.fit.names)
-        if tuned.rms[stage] >= self.calibrated.rms[stage] and not shares:
-            return None
-        held = {path: self.view.nominal(path.partition(".")[2]) for path in self.view.original}
-        values = {path: x for path, x in {**held, **tuned.values, **fit.point}.items() if math.isfinite(x)}
-        if self._worsens(values):
-            return None
-        return BestFit(
-            parameters={path: Quantity(value=x, unit=self._unit(path)) for path, x in values.items()},
-            after=Quantity(value=tuned.rms[stage], unit=self.view.unit),
-        )
-
-    def _worsens(self, point: Point) -> bool:
-        """Return whether a model has more than noise more gap in all of a recording than the nominal model."""
-        view, stretches = self.whole
-        squares = [(np.nan_to_num(gap) ** 2).sum(axis=1) for gap in view.gap([view.original, point]).astype(float)]
-        recording, noise = np.array(stretches.origins)[view.trial], float(np.sum(view.floor**2))
-        return bool((np.bincount(recording, squares[1] - squares[0] - noise) > 0).any())
+        best = self.found.search.predicting(self.choice.chosen, self.view.shared)
+        return None if best is None else best_fit(self.fitted.setup, self.fit, best, self._unit)
 
     def _answer(self) -> StageAnswer:
-        view, found, fit = self.view, self.found, self.fit
+        view, found, fitted, fit = self.view, self.found, self.fitted, self.fit
         patched = view.gap([fit.point])[0].astype(float) if fit.effects or self.known else None
         before = after = rms(self.nominal)
         if patched is not None:
@@ -396,11 +378,11 @@ class _Stage:
             after=after,
             floor=self._floor(),
             calibrated=self.calibrated.rms[view.stage],
-            ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - flexible), after),
+            ceiling=min(rms(fitted.residuals[view.stage].astype(float)) * math.sqrt(1 - flexible), after),
             overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
-            total_shrink=None if patched is None else self._shrink(found.nominal),
+            total_shrink=None if patched is None else self._shrink(fitted.nominal),
         )
 
     def _floor(self) -> float:
@@ -408,11 +390,11 @@ class _Stage:
         estimated = float(np.sqrt(np.mean(self.view.floor**2)))
         if self.decision.kind != "none":
             return estimated
-        return max(estimated, rms(self.found.null_residuals[self.view.stage].astype(float)))
+        return max(estimated, rms(self.fitted.null_residuals[self.view.stage].astype(float)))
 
     def _shrink(self, less: Fit) -> Interval:
         """Return the share of the held-out RMS that is lost with fewer effects."""
-        return share(*shrink.interval(squares_of(self.found, less, self.view.stage), self.left_squares))
+        return share(*shrink.interval(squares_of(self.fitted, less, self.view.stage), self.left_squares))
 
     def _rated(self, effect: NamedEffect) -> NamedEffect:
         """Return a known effect, without its confidence if the stage has a gap without a cause."""
@@ -421,7 +403,7 @@ class _Stage:
     def _named(self, effect: SelectedEffect) -> NamedEffect:
         return NamedEffect(
             name=effect.candidate.name,
-            parameters=estimates(self.found, self.fit, effect.candidate.name),
+            parameters=estimates(self.fitted, self.fit, effect.candidate.name),
             # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
             confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
             equivalents=self._same(effect)[1:],
@@ -436,17 +418,17 @@ class _Stage:
 
     def _warnings(self) -> list[str]:
         stage, found = self.view.stage, list(self.view.warnings(self.fit.point))
-        how: HeldOut = self.found.setup.held_out
+        how: HeldOut = self.fitted.setup.held_out
         if self.decision.selected and _WEAK_HELD_OUT[how]:
             found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
         found += rivals.not_named(self.choice, self.decision)
         found += rivals.not_rated(self.decision)
         if self.best_fit is not None:
-            left = 100 * self.best_fit.after.value / rms(self.nominal)
+            left = 100 * self.best_fit.after.value / self.best_fit.before.value
             effects = ", ".join(dict.fromkeys(path.split(".")[1] for path in self.best_fit.parameters))
             found.append(
-                f"{stage}: the best fit ({effects}) leaves {left:.0f} % of the gap, held out; a model, no diagnosis: "
-                "--patch FILE --best-fit writes it"
+                f"{stage}: the best fit ({effects}) leaves {left:.0f} % of the gap of whole recordings, held out; a "
+                "model, no diagnosis: --patch FILE --best-fit writes it"
             )
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
@@ -456,7 +438,7 @@ class _Stage:
                 f"{stage}: the noise floor is what the model leaves, {ratio:.2g} times the estimate from the signals; "
                 "a flexible model explains nothing of it beyond chance on held-out data"
             )
-        damping = self.found.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
+        damping = self.fitted.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
         if damping is not None and self.decision.selected and damping < -0.9:
             found.append(
                 f"{stage}: with the named effects, the model's viscous friction vanishes "

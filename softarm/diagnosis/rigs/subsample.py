@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine import work
-from softarm.diagnosis.engine.candidates import Candidate, point_of
+from softarm.diagnosis.engine.candidates import Candidate, EffectSet, parameters_of, point_of
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
@@ -37,6 +37,11 @@ class Stretches:
     trials: tuple[Trial, ...]
     origins: tuple[int, ...]
 
+    @property
+    def kinds(self) -> list[str]:
+        """Return the excitation of each stretch."""
+        return [trial.kind for trial in self.trials]
+
     def cut_into(self, parts: Iterable[tuple[Trial, ...]]) -> "Stretches":
         """Return the parts of every stretch as stretches."""
         pairs = [(part, k) for k, mine in zip(self.origins, parts, strict=True) for part in mine]
@@ -55,12 +60,20 @@ def within(budget_s: float, view: RigView, stretches: Stretches) -> tuple[Stretc
         return None
     ((found,), of, used) = together(share, [view], [stretches])
     note = (
-        f"{view.stage}: to keep its budget of {budget_s:.3g} s, the diagnosis uses the {len(found.trials)} most "
+        f"{view.stage}: to keep its budget of {budget_s:.3g} s, the search uses the {len(found.trials)} most "
         f"informative of {of} stretches, {used:.0%} of the samples; --budget sets another"
     )
     if used * whole_s > budget_s:
         note += f"; these are the fewest of which some can be held out, and take about {used * whole_s:.2g} s"
     return found, note
+
+
+def for_sizes(budget_s: float, view: RigView, stretches: Stretches, chosen: EffectSet) -> Stretches:
+    """Return the stretches to which chosen effects are fitted after a search on fewer: all that the budget pays for."""
+    parameters = len(parameters_of(chosen))
+    rollouts = work.full(parameters) + work.reduced(len(chosen), parameters)
+    share = budget_s / (rollouts * view.rollout_s)
+    return stretches if share >= 1 else together(share, [view], [stretches])[0][0]
 
 
 def together(

@@ -1,6 +1,7 @@
 """Base class of all rigs' views."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +139,10 @@ class RigView:
     def halves(self, number: int, times: int) -> tuple[Trial, ...]:
         """Return a window cut into halves; times: how often its trial's windows were halved, with this one."""
         raise NotImplementedError
+
+    def uninterrupted(self) -> Self:
+        """Return the view of the same samples with windows as long as the mechanism allows; by default itself."""
+        return self
 
     @property
     def rollout_s(self) -> float:

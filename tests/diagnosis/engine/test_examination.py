@@ -91,6 +91,28 @@ def test_only_a_residual_that_a_flexible_model_explains_is_unknown(law, kind):
     assert (decision.kind, decision.noise) == (kind, kind == "none")
 
 
+def test_a_choice_has_the_sizes_of_all_data_to_which_it_is_fitted():
+    """The search used half of the data, whose intervals are wider."""
+    known = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
+    setups = []
+    for kept_s in (LENGTH_S / 2, LENGTH_S):
+        view = _View()
+        view.measured[view.t_s > kept_s] = np.nan
+        setups.append(Setup([view], (Nuisance(BIAS, 0.0, -0.5, 0.5),), KINDS))
+    half, whole = (Examination(setup, known, RIG, lambda what, share: None) for setup in setups)
+    fitted = half.on(setups[1])
+    for each in (half, fitted, whole):
+        assert set(each.choice.chosen.names) == {"stage.level", "stage.swing"}
+    bounds = []
+    for each in (fitted, whole, half):
+        fit = each.choice.chosen
+        order = np.argsort(fit.names)
+        bounds.append([end[order] for end in each.interval(fit)])
+    np.testing.assert_allclose(bounds[0], bounds[1], atol=1e-4)
+    widths = [high - low for low, high in bounds]
+    assert (widths[2] > 1.2 * widths[0]).all()
+
+
 def test_the_fit_of_the_named_effects_has_no_other(found):
     named = found.named(_without_level(found))
     assert named.names == ("stage.swing",)

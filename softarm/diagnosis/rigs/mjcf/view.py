@@ -1,10 +1,12 @@
 """View of one joint of a MuJoCo model: its actuator moves it while the other joints follow their measured motion."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,6 @@ from softarm.diagnosis.rigs.grid import (
     held_integral,
     held_means,
     resolution,
-    time_since_change,
     usual_step,
 )
 from softarm.diagnosis.rigs.laws import joint as laws
@@ -27,16 +28,16 @@ from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import right_description
 from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
+from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, load, lost, split
+from softarm.diagnosis.rigs.mjcf.torques import Torques, lost, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
     SLOW,
-    STILL,
     WINDOW_PERIODS,
     Motion,
     cut_edges,
@@ -44,7 +45,6 @@ from softarm.diagnosis.rigs.motion import (
     motions,
     period,
     regimes,
-    summed_twice,
     time_uncertainty,
     window_edges,
     window_lengths,
@@ -121,7 +121,9 @@ class JointView(RigView):
         self._each = self._substeps()
         out = [self._out(k) for k in range(len(trials))]
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
-        signals = [self._signals(k, base) for k, base in enumerate(split(self._slopes.base, self._motions))]
+        sent: Sequence[Array | None] = self._sent or [None] * len(trials)
+        terms = split(self._slopes.base, self._motions)
+        signals = [features(*each, scales.speed) for each in zip(self._motions, self._edges, terms, sent, strict=True)]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
         if any(each.any() for each in out):
             self._refuse_touching(seen, trials)
@@ -129,17 +131,31 @@ class JointView(RigView):
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
         self._own_floor = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
-        self._simulation = JointSimulation(
-            joint, self._actuator, self._slopes, self._mechanism.stepping, self._motions, self._inputs, self._each
-        )
-        (nominal,), slow = self._values([{}]), SLOW * 0.3 * scales.speed
-        self._simulation.start(self.measured[:, 0], self._edges, slow, nominal, self._own_floor)
+        self._simulation = self._simulated(self._edges)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
         self.measure_noise()
         self._zeros = self._zeros_of(trials)
         simulated = ((1.0, 0.0), (1.0, 1.0)) if self._feels_steps() else ((1.0, 0.0),)
         self.laws = [{CREEP: creeps, STEPPED: stepped} for creeps, stepped in ((0.0, 0.0), *simulated)]
+
+    def _simulated(self, edges: Sequence[NDArray[np.int64]]) -> JointSimulation:
+        """Return the simulation of windows with these edges, by trial."""
+        found = JointSimulation(
+            self._joint, self._actuator, self._slopes, self._mechanism.stepping, self._motions, self._inputs, self._each
+        )
+        (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
+        found.start(self.measured[:, 0], edges, slow, nominal, self._own_floor)
+        return found
+
+    def uninterrupted(self) -> Self:
+        """Return the view of the same samples with windows as long as recordings, if nothing makes errors grow."""
+        if self._pushed() >= 0:
+            return self
+        ends = [(np.array([0, len(m.seen)]), self._out(k)) for k, m in enumerate(self._motions)]
+        found = copy(self)
+        found._simulation = self._simulated([cut_edges(*each) for each in ends])
+        return found
 
     def assume(self, path: str, value: float) -> None:
         """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
@@ -189,10 +205,13 @@ class JointView(RigView):
 
     def _unstable_s(self) -> float:
         """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
+        return float(np.log(GROWN) / np.sqrt(pushed)) if (pushed := self._pushed()) > 0 else np.inf
+
+    def _pushed(self) -> float:
+        """Return the acceleration by an error of the position, 1/s^2; negative if a loop or a spring reduces it."""
         held = self._joint.spring + (self._actuator.kp if self._actuator is not None else 0.0)
         base = self._slopes.base
-        fastest = float(np.quantile(-(base[laws.BY_POSITION] + held) / base[laws.INERTIA], 0.9))
-        return float(np.log(GROWN) / np.sqrt(fastest)) if fastest > 0 else np.inf
+        return float(np.quantile(-(base[laws.BY_POSITION] + held) / base[laws.INERTIA], 0.9))
 
     def _leave_out(self, large: NDArray[np.bool_]) -> None:
         """Leave out samples [M] with a margin, unless these are the majority."""
@@ -462,25 +481,6 @@ class JointView(RigView):
             if end - first < SAMPLES_LEAST and out[[max(first - 1, 0), min(end, len(out) - 1)]].any():
                 seen[first:end] = np.nan
         return seen
-
-    def _signals(self, k: int, terms: Array) -> dict[str, Array]:
-        """Return a trial's features for a flexible model of the residual; terms: its rigid-body terms, [ROWS, T]."""
-        m, edges = self._motions[k], self._edges[k]
-        t, v = m.grid.t_s, m.speed
-        direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
-        signals = {
-            "torque": load(terms, m.position, v),
-            "speed": v,
-            "direction": direction,
-            "position": m.position,
-            "time since reversal": time_since_change(t, np.sign(v)),
-            "time in the window": t - t[np.repeat(edges[:-1], np.diff(edges))],
-        }
-        if self._inputs:
-            signals["command"] = self._sent[k]
-        for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
-            signals[f"{name}, summed"] = summed_twice(values, edges, m.grid.step_s)
-        return signals
 
 
 def _columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:

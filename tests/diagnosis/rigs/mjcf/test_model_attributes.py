@@ -102,22 +102,3 @@ def test_a_servo_with_a_fiftieth_of_the_models_gain_is_found(tmp_path):
     assert sizes["elbow.gain"]["scale"].value == pytest.approx(-0.98, abs=0.005)
     assert sizes["elbow.ceiling"]["limit"].value == pytest.approx(3.0, rel=0.2)
     assert found.answer.after < 0.05 * found.answer.before
-
-
-# Over 3 s: a search over all effects, which finds none that is steady.
-@pytest.mark.slow
-def test_a_gap_without_a_steady_cause_has_a_best_fit(tmp_path):
-    """The friction of one recording is nearly twice that of the other."""
-    for k, friction in enumerate((0.2, 0.35)):
-        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
-    found = examine(elbows(tmp_path, ROBOT))
-    assert (found.decision.kind, found.named) == ("unknown", ())
-    assert found.best_fit.after.value < 0.7 * found.answer.before
-    assert any("--best-fit writes it" in text for text in found.warnings)
-
-
-@pytest.mark.prove
-def test_a_model_that_enlarges_the_gap_of_a_recording_is_no_best_fit(tmp_path):
-    for k, friction in enumerate((0.3, 0.35, 0.4, 0.0)):
-        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
-    assert examine(elbows(tmp_path, ROBOT)).best_fit is None

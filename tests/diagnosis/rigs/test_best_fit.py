@@ -1,0 +1,45 @@
+"""The effects that predict whole recordings of a stage best, named or not."""
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.rigs.stage import examine, view_of
+from tests.diagnosis.rigs.mjcf.test_model_attributes import ROBOT, changed, elbows, record
+
+LOOP = 'kp="30" kv="1.2" forcerange="-8 8"'
+
+
+def test_whole_recordings_show_an_error_that_windows_hide(tmp_path):
+    """A weak loop leaves the joint where friction holds it, and each window begins there."""
+    weak = changed(LOOP, 'kp="2" kv="0.05" forcerange="-8 8"')
+    record(weak, tmp_path / "motion.csv", seconds=5)
+    view, _ = view_of(elbows(tmp_path, weak.replace('frictionloss="0.05"', 'frictionloss="0.15"')))
+    windows, whole = (np.sqrt(np.nanmean(each.gap([{}]) ** 2)) for each in (view, view.uninterrupted()))
+    assert whole > 1.4 * windows
+
+
+def test_a_joint_that_nothing_holds_keeps_its_windows(tmp_path):
+    free = changed(f"<position {LOOP} ctrlrange", "<motor ctrlrange").replace("<position", "<motor")
+    free = free.replace("<option ", '<option gravity="0 0 0" ')
+    record(free, tmp_path / "motion.csv")
+    view, _ = view_of(elbows(tmp_path, free))
+    assert view.uninterrupted() is view
+
+
+# Over 3 s: a search over all effects, which finds none that is steady.
+@pytest.mark.slow
+def test_a_gap_without_a_steady_cause_has_a_best_fit(tmp_path):
+    """The friction of one recording is nearly twice that of the other."""
+    for k, friction in enumerate((0.2, 0.35)):
+        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
+    found = examine(elbows(tmp_path, ROBOT))
+    assert (found.decision.kind, found.named) == ("unknown", ())
+    assert found.best_fit.after.value < 0.7 * found.answer.before
+    assert any("--best-fit writes it" in text for text in found.warnings)
+
+
+@pytest.mark.prove
+def test_a_model_that_enlarges_the_gap_of_a_recording_is_no_best_fit(tmp_path):
+    for k, friction in enumerate((0.3, 0.35, 0.4, 0.0)):
+        record(changed('frictionloss="0.05"', f'frictionloss="{friction}"'), tmp_path / f"motion-{k}.csv", seconds=5)
+    assert examine(elbows(tmp_path, ROBOT)).best_fit is None
