@@ -47,11 +47,11 @@ def judged(
     effects = [effect for effect in sorted(whole) if any(f"{stage}.{effect}" in shown for stage in found)]
     if len(found) < 2 or not effects:
         return []
-    made = {stage: _made(own[stage], finding) for stage, finding in sorted(found.items())}
+    able = [(effect, stage) for effect in effects for stage in sorted(found) if _speaks(found[stage], effect)]
+    made = {stage: _made(own[stage], found[stage]) for stage in sorted({stage for _, stage in able})}
     parts: dict[tuple[str, str], list[str]] = {}  # effect and the part that has it -> stages that it loads
-    for effect in effects:
-        for stage in (each for each in made if _sizes(found[each], effect)):
-            parts.setdefault((effect, made[stage][0].part(effect)), []).append(stage)
+    for effect, stage in able:
+        parts.setdefault((effect, made[stage][0].part(effect)), []).append(stage)
     loaded = {
         (effect, part): stages
         for (effect, part), stages in parts.items()
@@ -68,6 +68,15 @@ def judged(
         _judged(effect, common[effect, part], joint, stages, found) for (effect, part), stages in loaded.items()
     )
     return [each for each in judgements if each is not None]
+
+
+def _speaks(finding: Finding, effect: str) -> bool:
+    """Return whether a stage can show an effect of the whole mechanism, or that it is absent.
+
+    A gap without a cause hides both, unless the effect is a named one or as good.
+    """
+    shows = f"{finding.answer.stage}.{effect}" in _names(finding)
+    return bool(_sizes(finding, effect)) and (shows or not finding.is_unexplained)
 
 
 def _made(trials: Sequence[Trial], finding: Finding) -> tuple[RigView, Stretches]:
