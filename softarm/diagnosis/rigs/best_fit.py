@@ -12,7 +12,7 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Point
-from softarm.diagnosis.rigs.candidates import nuisances
+from softarm.diagnosis.rigs.candidates import setup_of
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import BestFit, Quantity
 
@@ -23,18 +23,7 @@ ROUNDS = 6
 Unit = Callable[[str], str]
 
 
-def setup_of(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
-    """Return the problem of a view.
-
-    Args:
-        view: view of a stage.
-        kinds: excitation of each of its trials.
-        origins: recording that each trial was cut from.
-    """
-    return Setup([view], nuisances(view), kinds, origins, view.block_s)
-
-
-def next_to(setup: Setup, problem: FitProblem, fit: Fit, unit: Unit) -> Calibrated:
+def stage_calibration(setup: Setup, problem: FitProblem, fit: Fit, unit: Unit) -> Calibrated:
     """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found.
 
     Args:
@@ -67,7 +56,7 @@ def best_fit(setup: Setup, named: Fit, best: Fit, unit: Unit) -> BestFit | None:
     whole = setup_of(runs, setup.kinds, setup.origins)
     problem = whole.plain()
     (fit,) = problem.fit([(best.effects, best.u)], ROUNDS)
-    tuned, usual = (next_to(whole, problem, each, unit) for each in (fit, named))
+    tuned, usual = (stage_calibration(whole, problem, each, unit) for each in (fit, named))
     shares = any(name.rpartition(".")[2] in view.shared for name in named.names)
     if tuned.rms[view.stage] >= usual.rms[view.stage] and not shares:
         return None

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.views import RigView
 from softarm.simulator.effects import Effect, Parameter
 
@@ -56,6 +57,17 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
                 found.append(Nuisance(path, nominal, max(p.low, nominal - width), min(p.high, nominal + width)))
     found += [Nuisance(path, size.value, size.low, size.high) for path, size in view.held.items()]
     return tuple(found)
+
+
+def setup_of(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
+    """Return the problem of a view.
+
+    Args:
+        view: view of a stage.
+        kinds: excitation of each of its trials.
+        origins: recording that each trial was cut from.
+    """
+    return Setup([view], nuisances(view), kinds, origins, view.block_s)
 
 
 def candidate(view: RigView, effect: Effect) -> Candidate:

@@ -29,8 +29,8 @@ from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.rigs import experiments, subsample
-from softarm.diagnosis.rigs.best_fit import best_fit, next_to, setup_of
-from softarm.diagnosis.rigs.candidates import candidates
+from softarm.diagnosis.rigs.best_fit import best_fit, stage_calibration
+from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.mjcf.view import JointView
@@ -352,7 +352,7 @@ class _Stage:
 
     def _calibrated(self, fit: Fit) -> Calibrated:
         """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found."""
-        return next_to(self.fitted.setup, self.fitted.verdict_problem, fit, self._unit)
+        return stage_calibration(self.fitted.setup, self.fitted.verdict_problem, fit, self._unit)
 
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)
