@@ -31,7 +31,26 @@ FOLDER = Path(__file__).parent / "results"
 FILE = click.Path(path_type=Path, dir_okay=False)
 json_option = click.option("--json", "json_file", type=FILE, help="Write the figures to this file.")
 
-_CONTROL = ("softarm/common/braking.py", "softarm/daemon/control", "softarm/daemon/tick.py", "softarm/schemas")
+_SCHEMAS = (
+    "base",
+    "bridge",
+    "config",
+    "events",
+    "flights",
+    "goals",
+    "log",
+    "messages",
+    "model",
+    "policy",
+    "rest",
+    "robot",
+)
+_CONTROL = (
+    "softarm/common/braking.py",
+    "softarm/daemon/control",
+    "softarm/daemon/tick.py",
+    *(f"softarm/schemas/{name}.py" for name in _SCHEMAS),
+)
 _WIRES = (
     *_CONTROL,
     "softarm/common/realtime.py",
