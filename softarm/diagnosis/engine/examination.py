@@ -107,33 +107,23 @@ class Examination(FittedChoice):
         return {stage: self.setup.linearisation_error(stage, fit) for stage, energy in rest.items() if energy > most}
 
     @cached_property
-    def unresolved(self) -> frozenset[str]:
-        """Return the chosen effects that the data do not resolve.
-
-        The interval of such an effect contains the model's own value, or no sample reaches the effect. The others'
-        intervals change without it, so the one with the smallest gain is left out until all others are resolved.
-        """
-        gains = {effect.candidate.name: effect.gain.value for effect in self.choice.selected}
-        fit, found = self.choice.chosen, set[str]()
-        while len(fit.effects) > 1 and (open_ones := self.open_effects(fit)):
-            found.add(min(open_ones, key=lambda name: gains.get(name, 0.0)))
-            fit = self.verdict_problem.part(fit, [i for i, name in enumerate(fit.names) if name not in found])
-        return frozenset(found)
-
-    @cached_property
     def slow(self) -> dict[str, Structure]:
         """Return the strongest slow change of a fitted strength, by the stage that shows it."""
         return slow_changes(self.setup, self.search, self.searched)
 
-    def decide(self, signs: Mapping[str, Structure] | None = None) -> Decision:
+    def decide(
+        self, signs: Mapping[str, Structure] | None = None, unresolved: frozenset[str] | None = None
+    ) -> Decision:
         """Return the verdict on the chosen effects.
 
         Args:
             signs: stage -> finding of a further test, which no effect of the list explains. A slow change comes first.
+            unresolved: chosen effects that the data do not resolve; by default those of the search's own data.
         """
+        unresolved = self.unresolved if unresolved is None else unresolved
         signs = {**(signs or {}), **self.slow}
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, self.unresolved)
+        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, unresolved)
         decision = decide(self.choice, evidence, self.thresholds)
         if decision.kind == "unknown" and self.thresholds.approximate and not signs:  # the floor is an estimate
             return decide(self.choice, replace(evidence, proven=self.proven), self.thresholds)

@@ -93,6 +93,20 @@ class FittedChoice:
             self._intervals[key] = self._widened(fit, *found)
         return self._intervals[key]
 
+    @cached_property
+    def unresolved(self) -> frozenset[str]:
+        """Return the chosen effects that the data do not resolve.
+
+        The interval of such an effect contains the model's own value, or no sample reaches the effect. The others'
+        intervals change without it, so the one with the smallest gain is left out until all others are resolved.
+        """
+        gains = {effect.candidate.name: effect.gain.value for effect in self.choice.selected}
+        fit, found = self.choice.chosen, set[str]()
+        while len(fit.effects) > 1 and (open_ones := self.open_effects(fit)):
+            found.add(min(open_ones, key=lambda name: gains.get(name, 0.0)))
+            fit = self.verdict_problem.part(fit, [i for i, name in enumerate(fit.names) if name not in found])
+        return frozenset(found)
+
     def open_effects(self, fit: Fit) -> list[str]:
         """Return the effects of a fit that may have the model's own value, or that no sample reaches.
 

@@ -314,7 +314,7 @@ class _Stage:
         """
         (self.view,) = cast("tuple[RigView]", fitted.setup.views)
         self.found, self.fitted, self.trials, self.known = found, fitted, trials, known
-        self.choice, self.decision = found.choice, found.decide()
+        self.choice, self.decision = found.choice, found.decide(unresolved=fitted.unresolved)
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
             self.decision = replace(self.decision, kind=kind, noise=False)

@@ -185,6 +185,13 @@ def test_an_effect_is_resolved_if_its_interval_excludes_the_models_value_and_a_s
     assert _unresolved(found, fit) == {"stage.level"}  # the model has this level already
 
 
+def test_an_effect_that_other_data_do_not_resolve_is_not_named(found):
+    assert len(found.decide().selected) == 2
+    decision = found.decide(unresolved=frozenset({"stage.level"}))
+    assert [effect.candidate.name for effect in decision.selected] == ["stage.swing"]
+    assert [effect.candidate.name for effect in decision.unresolved] == ["stage.level"]
+
+
 def test_of_two_effects_that_only_their_sum_resolves_one_stays(found):
     effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
     (fit,) = found.search.problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
