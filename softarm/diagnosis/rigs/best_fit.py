@@ -11,7 +11,7 @@ from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.candidates import setup_of
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import BestFit, Quantity
@@ -23,19 +23,20 @@ ROUNDS = 6
 Unit = Callable[[str], str]
 
 
-def stage_calibration(setup: Setup, problem: FitProblem, fit: Fit, unit: Unit) -> Calibrated:
+def stage_calibration(setup: Setup, problem: FitProblem, plain: FitProblem, fit: Fit, unit: Unit) -> Calibrated:
     """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found.
 
     Args:
         setup: problem of one view.
         problem: the same with weights.
+        plain: the same in units of the noise floors.
         fit: effects.
         unit: returns the unit of a parameter by its path.
     """
     (view,) = cast("tuple[RigView]", setup.views)
     free = np.array([path not in view.held for path in problem.nuisance_paths])
     problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
-    return calibrated(setup, problem, setup.plain(), fit, unit)
+    return calibrated(setup, problem, plain, fit, unit)
 
 
 def best_fit(setup: Setup, named: Fit, best: Fit, unit: Unit) -> BestFit | None:
@@ -56,23 +57,24 @@ def best_fit(setup: Setup, named: Fit, best: Fit, unit: Unit) -> BestFit | None:
     whole = setup_of(runs, setup.kinds, setup.origins)
     problem = whole.plain()
     (fit,) = problem.fit([(best.effects, best.u)], ROUNDS)
-    tuned, usual = (stage_calibration(whole, problem, each, unit) for each in (fit, named))
+    tuned, usual = (stage_calibration(whole, problem, problem, each, unit) for each in (fit, named))
     shares = any(name.rpartition(".")[2] in view.shared for name in named.names)
     if tuned.rms[view.stage] >= usual.rms[view.stage] and not shares:
         return None
     held = {path: view.nominal(path.partition(".")[2]) for path in view.original}
     values = {path: x for path, x in {**held, **tuned.values, **fit.point}.items() if math.isfinite(x)}
-    if _worsens(runs, values, setup.origins):
+    nominal, left = runs.gap([view.original, values]).astype(float)
+    if _worsens(runs, nominal, left, setup.origins):
         return None
     return BestFit(
         parameters={path: Quantity(value=x, unit=unit(path)) for path, x in values.items()},
-        before=Quantity(value=rms(runs.gap([view.original])[0].astype(float)), unit=view.unit),
+        before=Quantity(value=rms(nominal), unit=view.unit),
         after=Quantity(value=tuned.rms[view.stage], unit=view.unit),
     )
 
 
-def _worsens(view: RigView, point: Point, origins: Sequence[int]) -> bool:
-    """Return whether a model has more than noise more gap in all of a recording than the nominal model."""
-    squares = [(np.nan_to_num(gap) ** 2).sum(axis=1) for gap in view.gap([view.original, point]).astype(float)]
+def _worsens(view: RigView, nominal: Array, left: Array, origins: Sequence[int]) -> bool:
+    """Return whether a model has more than noise more gap in all of a recording than the nominal model, [M, S] each."""
+    before, after = ((np.nan_to_num(gap) ** 2).sum(axis=1) for gap in (nominal, left))
     recording, noise = np.array(origins)[view.trial], float(np.sum(view.floor**2))
-    return bool((np.bincount(recording, squares[1] - squares[0] - noise) > 0).any())
+    return bool((np.bincount(recording, after - before - noise) > 0).any())

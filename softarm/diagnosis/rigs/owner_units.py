@@ -42,10 +42,8 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
         stage: fit.model_copy(
             update={
                 "parameters": {p: _scaled(of, own.get(p, (of.unit, 1.0))) for p, of in fit.parameters.items()},
-                **{
-                    when: _scaled(gap, _own(gap.unit, units.get(stage, {})))
-                    for when, gap in (("before", fit.before), ("after", fit.after))
-                },
+                "before": _scaled(fit.before, _own(fit.before.unit, units.get(stage, {}))),
+                "after": _scaled(fit.after, _own(fit.after.unit, units.get(stage, {}))),
             }
         )
         for stage, fit in verdict.best_fit.items()

@@ -11,7 +11,6 @@ import numpy as np
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import StageAnswer, share
-from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
@@ -141,6 +140,12 @@ def view_of(trials: Sequence[Trial]) -> tuple[RigView, Stretches]:
     return view, windows
 
 
+def part_of(stretches: Stretches) -> RigView:
+    """Return the view of some stretches of a stage's recordings."""
+    view: RigView = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
+    return view
+
+
 def examine(
     trials: Sequence[Trial],
     held: Sequence[Held] = (),
@@ -166,7 +171,7 @@ def examine(
     view, used = holding(whole), windows
     if reduced is not None:
         used, note = reduced
-        view, notes = holding(VIEWS[stage_of(trials).kind](used.trials)), [note]
+        view, notes = holding(part_of(used)), [note]
     setup = settled(view, used.kinds, used.origins)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
     search = replace(thresholds.search, refit=view.restarts_few_effects)
@@ -179,7 +184,7 @@ def examine(
     if reduced is not None:
         used = subsample.for_sizes(budget_s, whole, windows, found.choice.chosen.effects)
         if used is not windows:
-            whole = holding(VIEWS[stage_of(trials).kind](used.trials))
+            whole = holding(part_of(used))
         whole.adopt(view.assumed)
         fitted = found.on(setup_of(whole, used.kinds, used.origins))
     finding = _Stage(found, fitted, used.trials, known).finding()
@@ -320,7 +325,7 @@ class _Stage:
             self.decision = replace(self.decision, kind=kind, noise=False)
         self.fit = fitted.named(self.decision)
         self._units = {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
-        self.calibrated = self._calibrated(self.fit)
+        self.calibrated = stage_calibration(fitted.setup, fitted.verdict_problem, fitted.plain, self.fit, self._unit)
         self.best_fit = self._best_fit()
         self.nominal: Array = self.view.gap([self.view.original])[0].astype(float)
         self.without = fitted.without_each(self.fit)
@@ -349,10 +354,6 @@ class _Stage:
             driven_by=view.driven_by,
             assumed=view.assumed,
         )
-
-    def _calibrated(self, fit: Fit) -> Calibrated:
-        """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found."""
-        return stage_calibration(self.fitted.setup, self.fitted.verdict_problem, fit, self._unit)
 
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)

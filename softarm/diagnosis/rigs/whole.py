@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
-from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, squares_of, view_of
+from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, part_of, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
@@ -140,7 +140,7 @@ def _judged(
 
 def _on(stretches: Stretches, view: RigView) -> RigView:
     """Return a view of some stretches with the assumptions of another view."""
-    found = VIEWS[stage_of(stretches.trials).kind](stretches.trials)
+    found = part_of(stretches)
     found.adopt(view.assumed)
     return found
 
