@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import parse_qs
 
+from h11 import LocalProtocolError
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -189,6 +190,13 @@ class BoundedHttp(H11Protocol):
         """Remove the time limit from a connection that becomes a stream."""
         self._time_limit.cancel()
         super().handle_websocket_upgrade(event)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer an invalid request, or hang up if it has an answer already or must have one without a body."""
+        try:
+            super().send_400_response(msg)
+        except LocalProtocolError:
+            self.transport.close()
 
     def on_response_complete(self) -> None:
         """Start the time limit for the next request."""

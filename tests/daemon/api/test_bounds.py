@@ -184,3 +184,11 @@ def test_a_header_that_is_too_long_is_refused(plain, serving):
     with serving(plain) as port, ExitStack() as stack:
         said = said_until_closed(opened(stack, port, b"GET / HTTP/1.1\r\nX: " + b"x" * 100_000))
         assert said.startswith(b"HTTP/1.1 400 ") or not said
+
+
+def test_an_invalid_body_that_cannot_be_answered_closes_the_connection(plain, serving, caplog):
+    head = b"HEAD /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with serving(plain) as port, ExitStack() as stack:
+        said = said_until_closed(opened(stack, port, head + b"2\r\n{}]]\r\n"), b"]")
+    assert said.count(b"HTTP/1.1 ") <= 1
+    assert [record for record in caplog.records if record.name == "asyncio"] == []
