@@ -68,7 +68,7 @@ def load_weights(path: Path) -> Prior:
         metadata = PolicyMetadata.model_validate_json(text)
         values = {item.name: torch.from_numpy(numpy_helper.to_array(item).copy()) for item in model.graph.initializer}
         network = _network(values, metadata)
-    except (StopIteration, KeyError, ValueError, RuntimeError, ValidationError) as error:
+    except (StopIteration, KeyError, TypeError, ValueError, RuntimeError, ValidationError) as error:
         reason = str(error).partition("\n")[0] or "without metadata"
         raise CheckpointError(f"{path}: not a policy of `softarm train` ({reason}); name one of its files") from error
     return Prior(network, _task(metadata), metadata)

@@ -1,7 +1,6 @@
 """Retraining: it starts from the weights of a file, and the robots vary around the model."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import onnx
 import pytest
@@ -95,8 +94,12 @@ def test_an_invalid_policy_file_is_refused(tmp_path):
     other = onnx.load(MODELS / "reach.onnx")
     other.graph.initializer[0].name = "renamed"
     onnx.save(other, tmp_path / "other.onnx")
-    with pytest.raises(CheckpointError, match="not a policy of `softarm train`"):
-        load_weights(Path(tmp_path / "other.onnx"))
+    untyped = onnx.load(MODELS / "reach.onnx")
+    untyped.graph.initializer[0].data_type = onnx.TensorProto.UNDEFINED
+    onnx.save(untyped, tmp_path / "untyped.onnx")
+    for name in ("other", "untyped"):
+        with pytest.raises(CheckpointError, match="not a policy of `softarm train`"):
+            load_weights(tmp_path / f"{name}.onnx")
 
 
 def test_robots_vary_by_the_model_s_effects_and_by_the_open_parameters():
