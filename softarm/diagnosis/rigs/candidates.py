@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.engine.problem import Setup
@@ -40,7 +40,7 @@ class Falling(FittedParameter):
 def candidates(view: RigView) -> tuple[Candidate, ...]:
     """Return every effect that the stage can have, and only the first of a group of indistinguishable effects."""
     later = {name for others in view.indistinguishable.values() for name in others}
-    return tuple(candidate(view, effect) for effect in view.effects if effect.name not in later)
+    return tuple(candidate(view, _alone(view, effect)) for effect in view.effects if effect.name not in later)
 
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:
@@ -75,6 +75,14 @@ def candidate(view: RigView, effect: Effect) -> Candidate:
     parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
     far = tuple((u,) for u in view.far_starts.get(effect.name.rpartition(".")[2], ()))
     return Candidate(effect.name, view.stage, parameters, starts(parameters), far=far)
+
+
+def _alone(view: RigView, effect: Effect) -> Effect:
+    """Return an effect with the parameters that a stage alone determines."""
+    name = effect.name.rpartition(".")[2]
+    return replace(
+        effect, parameters=tuple(p for p in effect.parameters if f"{name}.{p.name}" not in view.only_together)
+    )
 
 
 def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:

@@ -69,6 +69,7 @@ class RigView:
         far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
         shared: effects that change other stages too, so that a best fit of one stage has none of them.
         whole: effects of the whole mechanism; all stages that load the same part have them in one size.
+        only_together: their parameters that a stage alone does not determine: 'effect.parameter'.
         held: parameters of effects of the whole mechanism that `hold` put into the nominal model, with their intervals.
         original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
@@ -88,6 +89,7 @@ class RigView:
     far_starts: Mapping[str, tuple[float, ...]] = {}
     shared: frozenset[str] = frozenset()
     whole: frozenset[str] = frozenset()
+    only_together: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
     laws: Sequence[Mapping[str, float]] = ()
     driven_by: frozenset[str] = frozenset()

@@ -1,6 +1,8 @@
 """Recordings of rigs, and the effects that a diagnosis names in them."""
 
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +32,19 @@ def recording(name, kind, t, channels, stage):
     return Trial(name, kind, Path(name), series, stage=TableStage(*stage))
 
 
-def mechanism(folder, robot, truth, seconds=5.0):
-    """Record three trials of a robot with its MuJoCo model and its stage.yaml; return the latter."""
-    random = np.random.default_rng(3)
+def mechanism(folder, robot, truth, seconds=5.0, item=None):
+    """Record three trials of a robot with its MuJoCo model and its stage.yaml; return the latter.
+
+    item: body, place in its frame (m) and mass (kg) of a thing that the robot carries and its model lacks.
+    """
+    random, real = np.random.default_rng(3), ROBOTS[robot]
+    if item is not None:
+        body, (x, y, z), kg = item
+        mass = f'<body pos="{x} {y} {z}"><inertial pos="0 0 0" mass="{kg}" diaginertia="1e-9 1e-9 1e-9"/></body>'
+        text, real = real.model.read_text(), replace(real, name=str(folder / "carrying"))
+        real.model.write_text(re.sub(rf'<body name="{body}".*>', lambda tag: tag[0] + mass, text))
     for number, kind in enumerate(MECHANISM_KINDS):
-        write(record(ROBOTS[robot], truth, kind, seconds, random), folder / f"{kind}-{number}.csv")
+        write(record(real, truth, kind, seconds, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
     return folder / "stage.yaml"

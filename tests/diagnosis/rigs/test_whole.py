@@ -4,11 +4,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
+import numpy as np
 import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs import whole
 from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.mjcf.links import PLACE
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.patch import patched
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import examine
@@ -20,10 +23,10 @@ from tests.diagnosis.rigs.recordings import mechanism
 LOAD = 0.6  # share of the last body's mass
 
 
-def by_joint(folder, robot, truth, seconds=3.0):
-    """Return the trials of each joint of a recorded robot."""
+def by_joint(folder, robot, truth, seconds=3.0, item=None):
+    """Return the trials of each joint of a recorded robot; item: as in `recordings.mechanism`."""
     own = {}
-    for trial in tables.read(mechanism(folder, robot, truth, seconds)):
+    for trial in tables.read(mechanism(folder, robot, truth, seconds, item)):
         own.setdefault(trial.stage.name, []).append(trial)
     return own
 
@@ -86,6 +89,24 @@ def test_joints_that_a_payload_loads_have_it_in_one_size_without_rivals(payload)
     assert tilt.named.shrink.stage.value > 0.7
 
 
+def test_a_payload_beside_the_line_of_its_link_has_its_mass_and_place(tmp_path):
+    """On the line through the last joint and the centre of mass, it would be a third heavier."""
+    item, place = 0.3, np.array([0.05, 0.09, -0.06])
+    own = by_joint(tmp_path, "camera", Truth({}), item=("camera", place, item))
+    (found,) = judged(own, shown(own, pan=("payload",), tilt=("payload",)))
+    sizes = found.held["pan"].named.parameters
+    assert sizes["mass"].low < item < sizes["mass"].high
+    assert sizes["mass"].high - sizes["mass"].low < 0.5 * item
+    link = Mechanism(tmp_path / "robot.xml").last_link(Mechanism(tmp_path / "robot.xml").joint("pan"))
+    at = [sizes[axis].value for axis in PLACE]
+    assert link.place(at) == pytest.approx(place, abs=0.02)
+
+
+def test_an_item_on_the_palm_does_not_load_the_fingers(tmp_path):
+    own = by_joint(tmp_path, "gripper", Truth({}), seconds=2.0, item=("palm", [0.0, 0.0, -0.1], 0.2))
+    assert judged(own, shown(own, wrist=("payload",), left=("damping",))) == []
+
+
 @pytest.mark.slow
 def test_a_light_joint_does_not_hold_a_large_payload_near_zero(loaded, monkeypatch):
     """A usual payload of a wrist is a hundredth of an arm's."""
@@ -95,8 +116,8 @@ def test_a_light_joint_does_not_hold_a_large_payload_near_zero(loaded, monkeypat
         found = own(view, effect)
         if effect.name != "tilt.payload":
             return found
-        mass, distance = found.parameters
-        return replace(found, parameters=(replace(mass, size=mass.size / 300), distance))
+        mass, *place = found.parameters
+        return replace(found, parameters=(replace(mass, size=mass.size / 300), *place))
 
     monkeypatch.setattr(whole, "candidate", light)
     (found,) = judged(loaded, shown(loaded, pan=("payload",), tilt=("mass", "payload", "gain")))

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from softarm.diagnosis.rigs.effects import like, of_stage
+from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.simulator.effect_table import Effect, shape, strength
 
@@ -258,14 +259,18 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             name="mass",
         )
     if math.isfinite(s.payload):
-        place = shape("distance", "m", s.reach, 0.0, 2 * s.reach, s.reach, "from the last joint, along its link")
+        far, along, across = s.reach, "from the last joint, along its link", "across the link"
+        place = (
+            shape("distance", "m", far, 0.0, 2 * far, far, along),
+            *(shape(axis, "m", 0.0, -2 * far, 2 * far, far, across) for axis in PLACE[1:]),
+        )
         full = max(s.payload, CARRIED * s.moving_kg)
         yield like(
             "arm.payload",
             "extra mass at the end of the mechanism",
             "{mass} extra hang at the end, behind {stage}",
             strength("mass", "kg", 0.0, 0.0, 10 * full, USUAL * full, "a point on the last link"),
-            *((place,) if s.reach else ()),
+            *(place if s.reach else ()),
         )
     if s.carries:
         yield Effect(

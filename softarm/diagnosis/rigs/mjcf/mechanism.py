@@ -17,14 +17,13 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as law
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
+from softarm.diagnosis.rigs.mjcf.links import Link, Links
 from softarm.diagnosis.rigs.mjcf.poses import Motion, PoseJoint
 from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
-# Distance of a link's centre of mass from its joint below which the link is balanced.
-LINK_SHORTEST_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +50,6 @@ class Joint:
     yields_per_s: float = 0.0  # rate at which that friction stops a joint
 
     @property
-    def end(self) -> str:
-        """Return the body at the end of the mechanism."""
-        return self.bodies[-1]
-
-    @property
     def follows(self) -> bool:
         """Return whether a position loop drives the joint."""
         return self.actuator is not None and self.actuator.kp > 0
@@ -71,25 +65,11 @@ class Change:
     """Change of the rigid bodies behind a joint, or of the whole mechanism's base."""
 
     mass_share: float = 0.0  # of all masses and inertias behind the joint
-    payload_kg: float = 0.0  # point mass on the line of the joint's last link
-    payload_m: float = 0.0  # its distance from the start of that link
+    payload_kg: float = 0.0  # point mass on the joint's last link
+    payload_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # its place along the axes of that link
     length_share: float = 0.0  # of the link between the joint and the next one, with its mass as it is
     bodies: tuple[str, ...] = ()  # mass_share is that of these bodies alone
     tilts_rad: Mapping[str, float] = field(default_factory=dict)  # small rotations of the base about `level_axes`
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """Rigid link at the end of a mechanism, in the frame of the body that its joint carries."""
-
-    body: str
-    start: Array  # [3] place of the joint, m
-    direction: Array  # [3] unit vector towards the link's centre of mass
-    centre_m: float  # distance of the centre of mass from the start; 0 for a balanced link
-
-    def place(self, distance_m: float) -> Array:
-        """Return the place at a distance from the start, [3]."""
-        return self.start + distance_m * self.direction
 
 
 class Course(NamedTuple):
@@ -120,6 +100,7 @@ class Mechanism:
         self.model = _loaded(self._mujoco, path)
         self.step_s = float(self.model.opt.timestep)
         self.stepping = stepping(self._mujoco, self.model)
+        self._links = Links(self._mujoco, self.model)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
         self._ratios, self._follows = self._closure.ratios(self._closure.zero()), self._closure.follows
         self._moved_by = [{*self._moved(int(dof))} for dof in self._closure.independent]
@@ -244,18 +225,7 @@ class Mechanism:
 
     def last_link(self, joint: Joint) -> Link:
         """Return the link at the end of the mechanism behind a joint."""
-        model, data = self.model, self._mujoco.MjData(self.model)
-        self._mujoco.mj_forward(model, data)
-        root = int(model.body_weldid[self._body(joint.end)])
-        parts = [i for i in range(model.nbody) if model.body_weldid[i] == root]
-        mass = model.body_mass[parts]
-        centre = mass @ data.xipos[parts] / max(float(mass.sum()), 1e-12)
-        start = model.jnt_pos[model.body_jntadr[root] + model.body_jntnum[root] - 1]
-        reach = data.xmat[root].reshape(3, 3).T @ (centre - data.xpos[root]) - start
-        distance = float(np.linalg.norm(reach))
-        if distance < LINK_SHORTEST_M:
-            return Link(self._name("body", root), start + reach, np.zeros(3), 0.0)
-        return Link(self._name("body", root), start.copy(), reach / distance, distance)
+        return self._links.last(self._moved(joint.dof))
 
     def held(self, joint: Joint, course: Course) -> NDArray[np.bool_]:
         """Return whether something unknown acts on a joint at each sample of a measured motion, [T].
@@ -312,10 +282,10 @@ class Mechanism:
         model.body_mass[bodies] *= 1 + change.mass_share
         model.body_inertia[bodies] *= 1 + change.mass_share
         if change.length_share:
-            self._stretch(model, int(self.model.dof_bodyid[joint.dof]), 1 + change.length_share)
+            self._links.stretch(model, int(self.model.dof_bodyid[joint.dof]), 1 + change.length_share)
         if change.payload_kg:
             link = self.last_link(joint)
-            self._load(model, self._body(link.body), change.payload_kg, link.place(change.payload_m))
+            self._links.load(model, link.number, change.payload_kg, link.place(change.payload_m))
         for axis, angle in change.tilts_rad.items():
             model.opt.gravity[:] += angle * self.level_axes[axis]
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
@@ -334,36 +304,6 @@ class Mechanism:
             and not joint.followers
             and len({int(self.model.body_weldid[self._body(name)]) for name in joint.bodies}) > 1
         )
-
-    def _stretch(self, model: Any, body: int, factor: float) -> None:
-        """Move everything on the rigid link of a body, the next joints included, away from its joint."""
-        start = model.jnt_pos[model.body_jntadr[body] + model.body_jntnum[body] - 1]
-        for i in range(body, model.nbody):
-            if model.body_weldid[model.body_parentid[i]] == body:
-                model.body_pos[i] = start + factor * (model.body_pos[i] - start)
-            if model.body_weldid[i] == body:
-                origin = start if i == body else 0.0
-                model.body_ipos[i] = origin + factor * (model.body_ipos[i] - origin)
-                model.body_inertia[i] *= factor**2
-                model.body_sameframe[i] = model.body_simple[i] = 0
-        model.dof_simplenum[:] = 0
-
-    def _load(self, model: Any, body: int, mass_kg: float, place: Array) -> None:
-        """Add a point mass to a body of a model, at a place in the body's frame, [3]."""
-        axes, own, centre = np.zeros(9), float(model.body_mass[body]), model.body_ipos[body].copy()
-        self._mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-        frame = axes.reshape(3, 3)
-        inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
-        common = (own * centre + mass_kg * place) / (own + mass_kg)
-        for mass, arm in ((own, centre - common), (mass_kg, place - common)):
-            inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        principal, frame = np.linalg.eigh(inertia)
-        frame[:, 0] *= np.sign(np.linalg.det(frame))
-        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + mass_kg, common, principal
-        self._mujoco.mju_mat2Quat(model.body_iquat[body], frame.ravel())
-        # The body's inertia is no longer aligned with its frame.
-        model.body_sameframe[body] = model.body_simple[body] = 0
-        model.dof_simplenum[:] = 0
 
     def _behind(self, dof: int) -> list[int]:
         """Return the bodies that a joint moves."""

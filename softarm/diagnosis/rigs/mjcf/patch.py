@@ -11,6 +11,7 @@ import numpy as np
 
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism, mechanism
 from softarm.diagnosis.rigs.mjcf.own_errors import MASS
 from softarm.schemas.verdict import Verdict
@@ -63,9 +64,9 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
                 shares.setdefault(body, []).append(value)
         elif parameter == "payload.mass":
             link = model.last_link(joint)
-            at = link.place(found.get(f"{name}.payload.distance", 0.0))
+            at = link.place([found.get(f"{name}.payload.{axis}", 0.0) for axis in PLACE])
             payloads.setdefault(link.body, []).append((value, *at))
-        elif parameter == "payload.distance":
+        elif parameter in {f"payload.{axis}" for axis in PLACE}:
             continue  # written with the mass
         elif parameter.startswith("tilt."):
             tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)

@@ -11,8 +11,9 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Slopes
+from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Place, Slopes
 from softarm.diagnosis.rigs.mjcf.stepping import Stepping
 from softarm.diagnosis.rigs.motion import Motion, directions
 
@@ -179,8 +180,14 @@ class JointSimulation:
         return BodyChange(
             mass_share=at.get("mass.scale", 0.0),
             payload_kg=at.get("payload.mass", 0.0),
-            payload_m=at.get("payload.distance", 0.0) if at.get("payload.mass") else 0.0,
+            payload_m=_place(at) if at.get("payload.mass") else (0.0, 0.0, 0.0),
             length_share=at.get("length.scale", 0.0),
             tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in "xyz" if at.get(f"tilt.{axis}")),
             late_s=self._steps.half_s * at[STEPPED],
         )
+
+
+def _place(at: Values) -> Place:
+    """Return the place of the payload."""
+    x, y, z = (at.get(f"payload.{axis}", 0.0) for axis in PLACE)
+    return x, y, z

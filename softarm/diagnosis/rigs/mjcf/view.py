@@ -84,6 +84,7 @@ class JointView(RigView):
     blocks_each = 2
     shared = frozenset(("mass", "length", "payload", "tilt"))
     whole = frozenset(("payload", "tilt"))
+    only_together = frozenset(("payload.y", "payload.z"))
     far_starts = dict.fromkeys(("gain", "position_gain"), FAR_GAINS)
 
     def __init__(self, trials: Sequence[Trial]) -> None:
@@ -323,10 +324,9 @@ class JointView(RigView):
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
         torques, slopes = self._torques, self._slopes
-        reach_m, carries = slopes.distances_m[-1], self._mechanism.carries(joint)
         needed, loads = torques.total(slopes.base), np.abs(torques.load(slopes.base))
-        longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if carries else np.zeros(1)
-        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded(reach_m))
+        longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if self._mechanism.carries(joint) else np.zeros(1)
+        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded((2, 0, 0)))
         felt = FELT * rms(needed)
         inertia = float(np.mean(slopes.base[laws.INERTIA]))
         floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least
@@ -341,7 +341,7 @@ class JointView(RigView):
             mass=float(rms(heavier) > felt),
             payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
             moving_kg=self._mechanism.moving_kg(joint),
-            reach=reach_m,
+            reach=2 * slopes.reach_m,
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
             inertia=inertia,

@@ -73,7 +73,7 @@ def test_masses_behind_a_joint_and_a_payload_change_its_terms_linearly(arm, moti
 
 def test_a_payload_at_a_distance_is_a_point_mass_in_mujoco(arm, motion, tmp_path):
     joint = arm.joint("elbow")
-    link, change = arm.last_link(joint), Change(payload_kg=0.15, payload_m=0.11)
+    link, change = arm.last_link(joint), Change(payload_kg=0.15, payload_m=(0.11, 0.02, -0.03))
     x, y, z = link.place(change.payload_m)
     mass = f'<body pos="{x} {y} {z}"><inertial pos="0 0 0" mass="0.15" diaginertia="1e-12 1e-12 1e-12"/></body>'
     text = arm.path.read_text()
