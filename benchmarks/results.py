@@ -62,7 +62,10 @@ _WIRES = (
 _API = ("softarm/daemon/access", "softarm/daemon/api")
 _SIMULATOR = ("softarm/simulator", "softarm/schemas/model.py", "softarm/schemas/robot.py")
 _FLIGHTS = (*_CONTROL, *_SIMULATOR, "softarm/drivers/bodies", "softarm/evaluation", "softarm/policies")
-_TRAINING = (*_SIMULATOR, "softarm/training")
+_TASK = (*_SIMULATOR, "softarm/common/braking.py", "softarm/training/task")
+_TRAINED = "learn", "record/checkpoint.py", "run/recipe.py", "run/session.py"
+_TRAINING = (*_TASK, *(f"softarm/training/{name}" for name in _TRAINED))
+_PLANNING = (*_TASK, "softarm/training/trajectory")
 _ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engine", "diagnose.py"))
 _DIAGNOSIS = (*_SIMULATOR, *_ENGINE, "softarm/diagnosis/robot")  # of the soft arm
 _BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", "softarm/reality")
@@ -76,7 +79,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "all": (*_FLIGHTS, "softarm/reality"),
     "blind": (*_BLIND, "softarm/diagnosis/baselines.py"),
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
-    "card": (*_TRAINING, "softarm/common/braking.py", "benchmarks/card.py"),
+    "card": (*_TRAINING, "benchmarks/card.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
     "closing": (
         *_FLIGHTS,
@@ -93,8 +96,8 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),
     "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
-    "needs": (*_TRAINING, "softarm/common/braking.py"),
-    "planning": (*_TRAINING, "softarm/common/braking.py", "benchmarks/planning.py"),
+    "needs": _PLANNING,
+    "planning": (*_PLANNING, "benchmarks/planning.py"),
     "real": (*_ENGINE, "softarm/diagnosis/rigs", "benchmarks/real_arm.py"),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
