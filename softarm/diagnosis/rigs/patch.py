@@ -9,7 +9,7 @@ import yaml
 
 from softarm.common import yaml_lines
 from softarm.diagnosis.data import stage_file
-from softarm.diagnosis.rigs.mjcf.own_errors import MASS
+from softarm.diagnosis.rigs.mjcf.effects import MASS
 from softarm.schemas.verdict import Verdict
 
 _HEADER = "# Nominal model with the findings of a diagnosis. --data names the folder of its tables.\n"

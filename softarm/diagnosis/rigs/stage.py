@@ -101,6 +101,7 @@ class Finding:
     following: NextExperiment | None
     held_out: HeldOut
     vocabulary: tuple[Effect, ...]
+    whole: Mapping[str, str]  # effect of the whole mechanism that the stage can show -> the part that has it
     warnings: tuple[str, ...]
     driven_by: frozenset[str]  # stages whose measured motion loads this stage
     assumed: Mapping[str, float]  # 'effect.parameter' -> settled value of the nominal model
@@ -349,7 +350,8 @@ class _Stage:
             rivals=rivals.by_share(found, decision),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
             held_out=self.fitted.setup.held_out,
-            vocabulary=view.effects,
+            vocabulary=view.vocabulary,
+            whole={effect: view.part(effect) for effect in sorted(view.whole)},
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
             assumed=view.assumed,

@@ -69,7 +69,8 @@ class RigView:
         far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
         shared: effects that change other stages too, so that a best fit of one stage has none of them.
         whole: effects of the whole mechanism; all stages that load the same part have them in one size.
-        only_together: their parameters that a stage alone does not determine: 'effect.parameter'.
+        together: effects of the whole that a stage alone does not determine, so that its search has none of them.
+        only_together: parameters of its other effects that it does not determine either: 'effect.parameter'.
         held: parameters of effects of the whole mechanism that `hold` put into the nominal model, with their intervals.
         original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
@@ -89,6 +90,7 @@ class RigView:
     far_starts: Mapping[str, tuple[float, ...]] = {}
     shared: frozenset[str] = frozenset()
     whole: frozenset[str] = frozenset()
+    together: tuple[Effect, ...] = ()
     only_together: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
     laws: Sequence[Mapping[str, float]] = ()
@@ -124,7 +126,7 @@ class RigView:
         swing = np.sqrt(np.nanmean((self.measured - middle) ** 2, axis=0))
         self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
         self.noise: Array = np.zeros(len(channels))
-        local = [(e.name.rpartition(".")[2], n.name) for e in self.effects for n in e.parameters]
+        local = [(e.name.rpartition(".")[2], n.name) for e in self.vocabulary for n in e.parameters]
         self.acts = frozenset(f"{owner}.{e}.{n}" for e, n in local for owner in self._owners(e))
         self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
 
@@ -132,6 +134,11 @@ class RigView:
     def windows(cls, trial: Trial) -> tuple[Trial, ...]:
         """Cut a trial into the windows that the view is made of; the start of each window is fitted."""
         return (trial,)
+
+    @property
+    def vocabulary(self) -> tuple[Effect, ...]:
+        """All effects that the stage alone or stages together can show."""
+        return (*self.effects, *self.together)
 
     @property
     def growing(self) -> frozenset[int]:
@@ -215,7 +222,10 @@ class RigView:
             self.original[f"{self.stage}.{path}"] = self._known[path]
             self.held[f"{self.stage}.{path}"] = size
             self._known[path] = size.value
-        self.effects = tuple(each for each in self.effects if each.name != f"{self.stage}.{effect}")
+        self.effects, self.together = (
+            tuple(each for each in effects if each.name != f"{self.stage}.{effect}")
+            for effects in (self.effects, self.together)
+        )
 
     @property
     def tolerances(self) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Effects of the whole mechanism: one payload or one tilted base loads several joints, and has one size for all.
+"""Effects of the whole mechanism: one payload, body or tilted base loads several joints, and has one size for all.
 
 Each joint alone takes such an effect for one of its own, or one of its own for such an effect. All joints together
 separate them: a search over all stages at once compares one common effect with the effects that each stage showed.
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from softarm.diagnosis.answer.assembly import share
-from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
+from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine import shrink, work
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, parameters_of
 from softarm.diagnosis.engine.confidence import confidence
@@ -18,10 +18,15 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
-from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, VIEWS, Finding, Held, estimates, part_of, squares_of, view_of
+from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, Finding, Held, estimates, part_of, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
+
+# Beginnings of the names of effects of one body, and effects of single joints that may be one of these.
+BODIES, OF_BODIES = ("payload", "mass"), ("length", "mass", "payload")
+# Effects that the search of a stage with a gap without a cause has found, at most, if it takes part.
+FEW = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,26 +47,14 @@ def judged(
         found: finding of each stage on its own.
         budget_s: processor time of the search, s; of longer recordings the most informative stretches are used.
     """
-    shown = {name for finding in found.values() for name in _names(finding)}
-    whole = VIEWS[stage_of(next(iter(own.values()))).kind].whole
-    effects = [effect for effect in sorted(whole) if any(f"{stage}.{effect}" in shown for stage in found)]
-    if len(found) < 2 or not effects:
-        return []
-    able = [(effect, stage) for effect in effects for stage in sorted(found) if _speaks(found[stage], effect)]
-    made = {stage: _made(own[stage], found[stage]) for stage in sorted({stage for _, stage in able})}
-    parts: dict[tuple[str, str], list[str]] = {}  # effect and the part that has it -> stages that it loads
-    for effect, stage in able:
-        parts.setdefault((effect, made[stage][0].part(effect)), []).append(stage)
-    loaded = {
-        (effect, part): stages
-        for (effect, part), stages in parts.items()
-        if len(stages) > 1 and any(f"{stage}.{effect}" in shown for stage in stages)
-    }
+    loaded = _loaded(found)
     if not loaded:
         return []
-    several = {stage for stages in loaded.values() for stage in stages}
+    made = {
+        stage: _made(own[stage], found[stage]) for stage in sorted({s for stages in loaded.values() for s in stages})
+    }
     try:
-        joint, common = _searched({s: each for s, each in made.items() if s in several}, loaded, found, budget_s)
+        joint, common = _searched(made, loaded, found, budget_s)
     except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
         return []
     judgements = (
@@ -70,13 +63,42 @@ def judged(
     return [each for each in judgements if each is not None]
 
 
+def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
+    """Return the effects of the whole to judge, each with the part that has it: to the stages that it loads.
+
+    A stage shows the effect itself, or one that may be that of a body, and another stage as well, or it has a gap
+    without a cause. The mass of the last link is left to the payload.
+    """
+    stages_of: dict[tuple[str, str], list[str]] = {}
+    for stage in sorted(found):
+        for effect, part in found[stage].whole.items():
+            if _speaks(found[stage], effect):
+                stages_of.setdefault((effect, part), []).append(stage)
+    shown = {name for finding in found.values() for name in _names(finding)}
+    heavier = {stage for stage in found if any(f"{stage}.{effect}" in shown for effect in OF_BODIES)}
+    doubtful = {stage for stage, finding in found.items() if finding.is_unexplained}
+
+    def is_open(effect: str, stages: Sequence[str]) -> bool:
+        several = effect.startswith(BODIES) and len((heavier | doubtful).intersection(stages)) > 1
+        return any(f"{s}.{effect}" in shown for s in stages) or (several and not heavier.isdisjoint(stages))
+
+    last = {part.removeprefix("end ") for effect, part in stages_of if effect == "payload"}
+    return {
+        (effect, part): stages
+        for (effect, part), stages in stages_of.items()
+        if len(stages) > 1 and is_open(effect, stages) and (effect == "payload" or part not in last)
+    }
+
+
 def _speaks(finding: Finding, effect: str) -> bool:
     """Return whether a stage can show an effect of the whole mechanism, or that it is absent.
 
-    A gap without a cause hides both, unless the effect is a named one or as good.
+    A gap without a cause hides both, unless the effect is a named one or as good. It may be that of a heavier body if
+    few effects were found beside it; many would make the search long.
     """
     shows = f"{finding.answer.stage}.{effect}" in _names(finding)
-    return bool(_sizes(finding, effect)) and (shows or not finding.is_unexplained)
+    few = effect.startswith(BODIES) and len(finding.fitted) <= FEW
+    return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 
 def _made(trials: Sequence[Trial], finding: Finding) -> tuple[RigView, Stretches]:
@@ -130,6 +152,8 @@ def _judged(
     if any(common.name in each.equivalents for each in chosen.values()):
         return None
     against = [stage for stage in stages if f"{stage}.{effect}" in _names(found[stage])]
+    if not against:
+        return None
     others = ", ".join(stage for stage in stages if stage not in against)
     why = f"the motion of {others} contradicts it" if others else "no one size explains all of them"
     return Judgement(
@@ -152,7 +176,7 @@ def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
     """
     same: dict[str, list[FittedParameter]] = {}
     for view in views:
-        (own,) = (each for each in view.effects if each.name == f"{view.stage}.{effect}")
+        (own,) = (each for each in view.vocabulary if each.name == f"{view.stage}.{effect}")
         for parameter in candidate(view, own).parameters:
             same.setdefault(parameter.path.rpartition(".")[2], []).append(parameter)
     parameters = tuple(
@@ -175,11 +199,12 @@ def _rivals(view: RigView, finding: Finding) -> Iterator[Candidate]:
 
 
 def _holds(joint: Examination, effect: SelectedEffect) -> bool:
-    """Return whether an effect certainly shrinks the gap, at no bound, and is against no stage."""
+    """Return whether an effect certainly shrinks the gap and is against no stage, with a size at no bound nor zero."""
     fit = joint.choice.chosen
     bound = effect.candidate.at_bound(fit.u[fit.names.index(effect.candidate.name)])
     against = min(effect.gain.energies.values()) < -RIG.gain.ignored
-    return effect.gain.low > 0 and not bound and not against
+    is_open = effect.candidate.name in joint.open_effects(fit)
+    return effect.gain.low > 0 and not bound and not against and not is_open
 
 
 def _named(
@@ -216,7 +241,10 @@ def _named(
         )
         for stage in loaded
     }
-    return Judgement(held, f"{', '.join(shown)}: one {effect} explains the gap, with one size for all joints")
+    return Judgement(
+        held,
+        f"{', '.join(shown)}: one {effect.replace('mass_', 'mass of ')} explains the gap, with one size for all joints",
+    )
 
 
 def _sizes(finding: Finding, effect: str) -> list[str]:

@@ -16,7 +16,7 @@ from softarm.diagnosis.rigs.mjcf.patch import patched
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import examine
 from softarm.diagnosis.rigs.subsample import together
-from softarm.diagnosis.rigs.whole import judged
+from softarm.diagnosis.rigs.whole import FEW, judged
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth
 from tests.diagnosis.rigs.recordings import mechanism
 
@@ -35,6 +35,7 @@ def shown(own, **names):
     """Return findings of joints on their own; names: the effects of each joint that explain its gap equally."""
     found = {}
     for joint, (name, *others) in names.items():
+        view = JointView(own[joint])
         effect = SimpleNamespace(name=f"{joint}.{name}", equivalents=tuple(f"{joint}.{each}" for each in others))
         found[joint] = SimpleNamespace(
             answer=SimpleNamespace(stage=joint),
@@ -42,7 +43,8 @@ def shown(own, **names):
             is_unexplained=False,
             fitted=(effect.name,),
             named=(effect,),
-            vocabulary=JointView(own[joint]).effects,
+            vocabulary=view.vocabulary,
+            whole={each: view.part(each) for each in view.whole},
             assumed={},
         )
     return found
@@ -64,7 +66,7 @@ def payload(loaded):
 def test_a_joint_with_a_gap_without_a_cause_says_nothing_about_a_common_effect(loaded):
     """Six joints of a real arm, each with several effects and a rest, took four minutes to contradict a payload."""
     found = shown(loaded, pan=("damping",), tilt=("payload",))
-    found["pan"].is_unexplained = True
+    found["pan"].is_unexplained, found["pan"].fitted = True, tuple(f"pan.{number}" for number in range(FEW + 1))
     assert judged(loaded, found) == []
 
 
@@ -100,6 +102,22 @@ def test_a_payload_beside_the_line_of_its_link_has_its_mass_and_place(tmp_path):
     link = Mechanism(tmp_path / "robot.xml").last_link(Mechanism(tmp_path / "robot.xml").joint("pan"))
     at = [sizes[axis].value for axis in PLACE]
     assert link.place(at) == pytest.approx(place, abs=0.02)
+
+
+def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
+    """Each joint alone takes it for another mass or length of all that it moves."""
+    own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
+    (found,) = judged(own, shown(own, hip=("mass",), knee=("length",), ankle=("damping",)))
+    assert {stage: held.effect for stage, held in found.held.items()} == {"hip": "mass_shank", "knee": "mass_shank"}
+    for held in found.held.values():
+        assert held.named.shared_by == ("hip", "knee")
+        size = held.named.parameters["scale"]
+        assert 0 < size.low < 1.2 < size.high
+
+
+def test_a_mass_that_one_joint_alone_shows_is_no_body(tmp_path):
+    own = by_joint(tmp_path, "leg", Truth({}), seconds=2.0)
+    assert judged(own, shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))) == []
 
 
 def test_an_item_on_the_palm_does_not_load_the_fingers(tmp_path):

@@ -1,18 +1,20 @@
 """Effects of one joint of a MuJoCo model and its actuator; bounds and usual sizes come from model and recordings."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from softarm.diagnosis.rigs.effects import like, of_stage
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
-from softarm.simulator.effect_table import Effect, shape, strength
+from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
 # Relative error of an actuator's gain, at least: some models state fifty times the gain of the servo.
 LEAST_GAIN = -0.998
 # Relative error of masses, at least: with less, all torques could shrink together, and no data would show it.
 LEAST_MASS = -0.5
+# Beginning of the name of an error of one part's mass.
+MASS = "mass_"
 # Share of the usual torque: a friction that matters.
 USUAL = 0.15
 # Least payload that loads a joint fully, as a share of the mechanism's mass: a light wrist's own torque says little.
@@ -105,6 +107,25 @@ def joint_effects(stage: str, scales: JointScales) -> tuple[Effect, ...]:
     """Return every effect that a joint can show in its recordings, in the order in which a command meets it."""
     drive = _drive(scales) if scales.driven else ()
     return of_stage(stage, [*drive, *_friction(scales), *_bodies(scales), *_sensor(scales)], _RIVALS)
+
+
+def part_effects(stage: str, parts: Iterable[str]) -> tuple[Effect, ...]:
+    """Return the error of the mass of each part that a joint moves, by the part's first body."""
+    return of_stage(stage, map(_heavier, parts), ())
+
+
+def _heavier(part: str) -> Effect:
+    return like(
+        "arm.payload",
+        f"{part}, with all that moves as one with it, has another mass",
+        f"the mass of {part} is off by {{scale}}",
+        _share_of("the part's masses and inertias"),
+        name=MASS + part,
+    )
+
+
+def _share_of(masses: str) -> Parameter:
+    return strength("scale", "-", 0.0, LEAST_MASS, 4.0, 0.1, f"relative error of {masses}")
 
 
 def _drive(s: JointScales) -> Iterator[Effect]:
@@ -253,9 +274,7 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             "arm.payload",
             "the bodies behind the joint have another mass",
             "the mass behind {stage} is off by {scale}",
-            strength(
-                "scale", "-", 0.0, LEAST_MASS, 4.0, 0.1, "relative error of all masses and inertias behind the joint"
-            ),
+            _share_of("all masses and inertias behind the joint"),
             name="mass",
         )
     if math.isfinite(s.payload):

@@ -11,9 +11,9 @@ import numpy as np
 
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.effects import MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism, mechanism
-from softarm.diagnosis.rigs.mjcf.own_errors import MASS
 from softarm.schemas.verdict import Verdict
 
 # Parameter of a joint's effect -> attribute of its `joint` element.
@@ -55,11 +55,14 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
     tilts: dict[str, list[float]] = {}  # axis -> the base's tilt about it by each joint that it loads, rad
+    named = {place.partition(".")[2] for place in found}
     for place, value in sorted(found.items()):
         name, _, parameter = place.partition(".")
         joint = model.joint(name)
+        if f"{parameter}.scale" in named:
+            continue  # the calibration of a body whose mass other joints have as an effect
         if parameter.startswith(MASS):
-            first = parameter.removeprefix(MASS)
+            first = parameter.removeprefix(MASS).removesuffix(".scale")
             for body in joint.parts.get(first, (first,)):
                 shares.setdefault(body, []).append(value)
         elif parameter == "payload.mass":

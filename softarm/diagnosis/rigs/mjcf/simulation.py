@@ -11,6 +11,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.effects import MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Place, Slopes
@@ -69,6 +70,7 @@ class JointSimulation:
         self._joint, self._actuator, self._motions = joint, actuator, motions
         self._inputs, self._each = inputs, each
         self._slopes, self._steps = slopes, steps
+        self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
         self._drives = lru_cache(64)(self._driven)
 
     def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:
@@ -182,6 +184,7 @@ class JointSimulation:
             payload_kg=at.get("payload.mass", 0.0),
             payload_m=_place(at) if at.get("payload.mass") else (0.0, 0.0, 0.0),
             length_share=at.get("length.scale", 0.0),
+            part_shares=tuple((part, at[path]) for path, part in self._parts if at.get(path)),
             tilts_rad=tuple((axis, at[f"tilt.{axis}"]) for axis in "xyz" if at.get(f"tilt.{axis}")),
             late_s=self._steps.half_s * at[STEPPED],
         )

@@ -26,6 +26,7 @@ class BodyChange(NamedTuple):
     payload_m: Place  # along the axes of the last link
     length_share: float
     tilts_rad: tuple[tuple[str, float], ...] = ()  # axis, angle
+    part_shares: tuple[tuple[str, float], ...] = ()  # first body of a part, share of its mass
     late_s: float = 0.0  # time by which forces have earlier speeds
 
 
@@ -41,6 +42,7 @@ class Slopes:
         loaded: returns the change per kg of a payload at a place in reaches.
         longer: returns the change at one of LENGTH_SHARES of the joint's link.
         tilted: returns the change per rad of a tilt about one of the axes.
+        part: returns the change per share of the mass of one of the joint's parts, by its first body.
         late: returns the change with forces of earlier speeds.
     """
 
@@ -50,6 +52,7 @@ class Slopes:
         self._others, self.base = others, others.terms(Change())
         self.axes = tuple(mechanism.level_axes)
         self.loaded, self.longer, self.tilted = cache(self._loaded), cache(self._longer), cache(self._tilted)
+        self.part = cache(lambda part: self._change(Change(mass_share=MASS_STEP, bodies=joint.parts[part])) / MASS_STEP)
         self.late = cache(lambda late_s: others.terms_late(late_s) - self.base)
 
     @cached_property
@@ -68,6 +71,8 @@ class Slopes:
             found = found + self._stretched(change.length_share)
         for axis, angle in change.tilts_rad:
             found = found + angle * self.tilted(axis)
+        for part, share in change.part_shares:
+            found = found + share * self.part(part)
         return found + self.late(change.late_s) if change.late_s else found
 
     def _carried(self, at_m: Place) -> Array:

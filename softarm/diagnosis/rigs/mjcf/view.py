@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Self
@@ -23,11 +22,11 @@ from softarm.diagnosis.rigs.grid import (
     usual_step,
 )
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks, own_errors
+from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import right_description
-from softarm.diagnosis.rigs.mjcf.effects import JointScales, joint_effects
+from softarm.diagnosis.rigs.mjcf.effects import MASS, JointScales, joint_effects, part_effects
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
@@ -109,10 +108,12 @@ class JointView(RigView):
         self.assumptions = (*still, *self._stuck(), *self._refuse_mistakes(trials))
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
+        parts = [part for part in joint.parts if "." not in part] if scales.mass and len(joint.parts) > 1 else []
+        self.together, self.whole = part_effects(stage.name, parts), self.whole | {MASS + part for part in parts}
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
-        self._known = neutral_values(own) | self._nominal() | given | {CREEP: 0.0, STEPPED: 0.0}
+        self._known = neutral_values([*own, *self.together]) | self._nominal() | given | {CREEP: 0.0, STEPPED: 0.0}
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
         self.curved = self._bends = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
         (friction,) = (effect for effect in own if effect.name == f"{stage.name}.coulomb_friction")
@@ -202,7 +203,7 @@ class JointView(RigView):
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
-        return self._end if effect == "payload" else "base"
+        return effect.removeprefix(MASS) if effect.startswith(MASS) else self._end if effect == "payload" else "base"
 
     def _unstable_s(self) -> float:
         """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
@@ -429,22 +430,12 @@ class JointView(RigView):
     @property
     def own_nuisances(self) -> Mapping[str, float]:
         """Errors of a good model that are no effect: name -> share of a body's mass."""
-        return {f"{self.stage}.{name}": share for name, share in self._own_errors.items()}
+        return {effect.name: OF_OWN for effect in self.together}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with each of these errors, [q, M, 1]."""
-        base = self._gaps([{}])
-        found = [self._gaps([{}], terms) - base for terms in self._with_own_errors]
-        return np.array(found, np.float32).reshape(len(found), *self.measured.shape)
-
-    @property
-    def _own_errors(self) -> dict[str, float]:
-        return own_errors.shares(self._joint, OF_OWN if self._scales.mass else 0.0)
-
-    @cached_property
-    def _with_own_errors(self) -> list[Array]:
-        """Rigid-body terms with each of these errors, [ROWS, M] each."""
-        return [own_errors.terms(self._others, self._joint, name, size) for name, size in self._own_errors.items()]
+        found = self._gaps([{f"{effect.name}.scale": OF_OWN} for effect in self.together]) - self._gaps([{}])
+        return found.astype(np.float32).reshape(len(self.together), *self.measured.shape)
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -455,9 +446,9 @@ class JointView(RigView):
         """Return measured minus predicted values at each of P points, [P, M, 1]; NaN where no sample was measured."""
         return self._gaps(points).astype(np.float32)
 
-    def _gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
-        """Return the gaps [P, M, 1]; terms: rigid-body terms to start from, instead of the own."""
-        return self._zeros.without(self._raw_gaps(points, terms))[..., None]
+    def _gaps(self, points: Sequence[Point]) -> Array:
+        """Return the gaps [P, M, 1]."""
+        return self._zeros.without(self._raw_gaps(points))[..., None]
 
     def _raw_gaps(self, points: Sequence[Point], terms: Array | None = None) -> Array:
         """Return the gaps [P, M] with one zero for all recordings."""

@@ -161,7 +161,9 @@ def finding(stage, driven_by, *, kind="none", noise=False, confidence=None):
     decision = Decision(kind, (), {}, 0.0, noise=noise)
     named = (effect,) if confidence else ()
     about = SimpleNamespace(stage=stage)
-    return Finding(about, 0.0, "", decision, (), named, (), None, (), None, "kind", (), (), frozenset(driven_by), {})
+    return Finding(
+        about, 0.0, "", decision, (), named, (), None, (), None, "kind", (), {}, (), frozenset(driven_by), {}
+    )
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,13 @@ def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
     assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
 
 
+def test_a_body_with_another_mass_is_no_average_with_its_calibration(tmp_path):
+    changes = [("shoulder.mass_wrist.scale", 0.4, "-"), ("elbow.mass_wrist.scale", 0.4, "-")]
+    found = patch.patched(ARM, verdict(changes, [("base.mass_wrist", 0.02, "-")]), calibration=True)
+    before, after = mujoco.MjModel.from_xml_path(str(ARM)), read(found, tmp_path)
+    assert after.body("wrist").mass[0] == pytest.approx(1.4 * before.body("wrist").mass[0])
+
+
 def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
     body = '<body name="{}">{}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     link, plate, tip = (
