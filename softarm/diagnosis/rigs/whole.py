@@ -64,10 +64,10 @@ def judged(
 
 
 def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
-    """Return the effects of the whole to judge, each with the part that has it: to the stages that it loads.
+    """Return the effects of the whole to judge: effect and the part that has it -> the stages that it loads.
 
-    A stage shows the effect itself, or one that may be that of a body, and another stage as well, or it has a gap
-    without a cause. The mass of the last link is left to the payload.
+    An effect is judged if a stage shows it. That of a body is also judged if a stage shows an effect that may be this
+    one, and a second stage does so or has a gap without a cause. The mass of the last link is left to the payload.
     """
     stages_of: dict[tuple[str, str], list[str]] = {}
     for stage in sorted(found):
