@@ -23,8 +23,8 @@ from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
 
-# Beginnings of the names of effects of one body, and effects of single joints that may be one of these.
-BODIES, OF_BODIES = ("payload", "mass"), ("length", "mass", "payload")
+# Beginning of the names of errors of one body's mass, and effects of single joints that may be one of these.
+BODY, OF_BODIES = "mass_", ("length", "mass", "payload")
 # Effects that the search of a stage with a gap without a cause has found, at most, if it takes part.
 FEW = 4
 
@@ -79,7 +79,9 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     doubtful = {stage for stage, finding in found.items() if finding.is_unexplained}
 
     def is_open(effect: str, stages: Sequence[str]) -> bool:
-        several = effect.startswith(BODIES) and len((heavier | doubtful).intersection(stages)) > 1
+        several = (effect == "payload" or effect.startswith(BODY)) and len(
+            (heavier | doubtful).intersection(stages)
+        ) > 1
         return any(f"{s}.{effect}" in shown for s in stages) or (several and not heavier.isdisjoint(stages))
 
     last = {part.removeprefix("end ") for effect, part in stages_of if effect == "payload"}
@@ -93,11 +95,11 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
 def _speaks(finding: Finding, effect: str) -> bool:
     """Return whether a stage can show an effect of the whole mechanism, or that it is absent.
 
-    A gap without a cause hides both, unless the effect is a named one or as good. It may be that of a heavier body if
-    few effects were found beside it; many would make the search long.
+    A gap without a cause hides both, unless the effect is a named one or as good. The cause may be a heavier body if
+    few effects were found instead; many would make the search long.
     """
     shows = f"{finding.answer.stage}.{effect}" in _names(finding)
-    few = effect.startswith(BODIES) and len(finding.fitted) <= FEW
+    few = effect.startswith(BODY) and len(finding.fitted) <= FEW
     return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 
@@ -243,7 +245,7 @@ def _named(
     }
     return Judgement(
         held,
-        f"{', '.join(shown)}: one {effect.replace('mass_', 'mass of ')} explains the gap, with one size for all joints",
+        f"{', '.join(shown)}: one {effect.replace(BODY, 'mass of ')} explains the gap, with one size for all joints",
     )
 
 

@@ -66,7 +66,7 @@ def payload(loaded):
 def test_a_joint_with_a_gap_without_a_cause_says_nothing_about_a_common_effect(loaded):
     """Six joints of a real arm, each with several effects and a rest, took four minutes to contradict a payload."""
     found = shown(loaded, pan=("damping",), tilt=("payload",))
-    found["pan"].is_unexplained, found["pan"].fitted = True, tuple(f"pan.{number}" for number in range(FEW + 1))
+    found["pan"].is_unexplained = True
     assert judged(loaded, found) == []
 
 
@@ -113,6 +113,15 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert held.named.shared_by == ("hip", "knee")
         size = held.named.parameters["scale"]
         assert 0 < size.low < 1.2 < size.high
+
+
+@pytest.mark.parametrize("fitted", [FEW, FEW + 1])
+def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_found(tmp_path, fitted):
+    own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
+    found = shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))
+    found["knee"].is_unexplained = True
+    found["knee"].fitted = tuple(f"knee.{number}" for number in range(fitted))
+    assert len(judged(own, found)) == (1 if fitted == FEW else 0)
 
 
 def test_a_mass_that_one_joint_alone_shows_is_no_body(tmp_path):
