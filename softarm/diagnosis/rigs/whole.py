@@ -67,7 +67,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     """Return the effects of the whole to judge: effect and the part that has it -> the stages that it loads.
 
     An effect is judged if a stage shows it. That of a body is also judged if a stage shows an effect that may be this
-    one, and a second stage does so or has a gap without a cause. The mass of the last link is left to the payload.
+    one, and a second stage does so or has a gap without a name. The mass of the last link is left to the payload.
     """
     stages_of: dict[tuple[str, str], list[str]] = {}
     for stage in sorted(found):
@@ -76,7 +76,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
                 stages_of.setdefault((effect, part), []).append(stage)
     shown = {name for finding in found.values() for name in _names(finding)}
     heavier = {stage for stage in found if any(f"{stage}.{effect}" in shown for effect in OF_BODIES)}
-    doubtful = {stage for stage, finding in found.items() if finding.is_unexplained}
+    doubtful = {stage for stage, finding in found.items() if finding.is_unexplained and not finding.named}
 
     def is_open(effect: str, stages: Sequence[str]) -> bool:
         several = (effect == "payload" or effect.startswith(BODY)) and len(
@@ -95,11 +95,11 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
 def _speaks(finding: Finding, effect: str) -> bool:
     """Return whether a stage can show an effect of the whole mechanism, or that it is absent.
 
-    A gap without a cause hides both, unless the effect is a named one or as good. The cause may be a heavier body if
-    few effects were found instead; many would make the search long.
+    A gap without a cause hides both, unless the effect is a named one or as good. The cause may be a heavier body if no
+    effect is named and few were found; many would make the search long.
     """
     shows = f"{finding.answer.stage}.{effect}" in _names(finding)
-    few = effect.startswith(BODY) and len(finding.fitted) <= FEW
+    few = effect.startswith(BODY) and not finding.named and len(finding.fitted) <= FEW
     return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 

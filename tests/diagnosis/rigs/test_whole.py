@@ -119,7 +119,7 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
 def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_found(tmp_path, fitted):
     own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
     found = shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))
-    found["knee"].is_unexplained = True
+    found["knee"].is_unexplained, found["knee"].named = True, ()
     found["knee"].fitted = tuple(f"knee.{number}" for number in range(fitted))
     assert len(judged(own, found)) == (1 if fitted == FEW else 0)
 
