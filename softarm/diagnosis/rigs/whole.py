@@ -18,13 +18,14 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
+from softarm.diagnosis.rigs.mjcf.effects import MASS
 from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, Finding, Held, estimates, part_of, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NamedEffect, Shrink
 
-# Beginning of the names of errors of one body's mass, and effects of single joints that may be one of these.
-BODY, OF_BODIES = "mass_", ("length", "mass", "payload")
+# Effects of single joints that may be a payload or an error of one body's mass.
+OF_BODIES = "length", "mass", "payload"
 # Effects that the search of a stage with a gap without a cause has found, at most, if it takes part.
 FEW = 4
 
@@ -79,7 +80,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     doubtful = {stage for stage, finding in found.items() if finding.is_unexplained and not finding.named}
 
     def is_open(effect: str, stages: Sequence[str]) -> bool:
-        several = (effect == "payload" or effect.startswith(BODY)) and len(
+        several = (effect == "payload" or effect.startswith(MASS)) and len(
             (heavier | doubtful).intersection(stages)
         ) > 1
         return any(f"{s}.{effect}" in shown for s in stages) or (several and not heavier.isdisjoint(stages))
@@ -99,7 +100,7 @@ def _speaks(finding: Finding, effect: str) -> bool:
     effect is named and few were found; many would make the search long.
     """
     shows = f"{finding.answer.stage}.{effect}" in _names(finding)
-    few = effect.startswith(BODY) and not finding.named and len(finding.fitted) <= FEW
+    few = effect.startswith(MASS) and not finding.named and len(finding.fitted) <= FEW
     return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 
@@ -245,7 +246,7 @@ def _named(
     }
     return Judgement(
         held,
-        f"{', '.join(shown)}: one {effect.replace(BODY, 'mass of ')} explains the gap, with one size for all joints",
+        f"{', '.join(shown)}: one {effect.replace(MASS, 'mass of ')} explains the gap, with one size for all joints",
     )
 
 
