@@ -68,7 +68,9 @@ _TRAINING = (*_TASK, *(f"softarm/training/{name}" for name in _TRAINED))
 _PLANNING = (*_TASK, "softarm/training/trajectory")
 _ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engine", "diagnose.py"))
 _DIAGNOSIS = (*_SIMULATOR, *_ENGINE, "softarm/diagnosis/robot")  # of the soft arm
-_BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", "softarm/reality")
+_ROBOT = "devices", "parameters", "plant", "record", "robot", "sensors"
+_REALITY = tuple(f"softarm/reality/{name}.py" for name in _ROBOT)  # the independent soft arm
+_BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", *_REALITY)
 _ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
 _DAEMON = "validation/daemon_process.py"
 
@@ -76,24 +78,24 @@ _DAEMON = "validation/daemon_process.py"
 DEPENDS: Mapping[str, tuple[str, ...]] = {
     "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
     "adversary-tick": (*_CONTROL, *_ADVERSARY),
-    "all": (*_FLIGHTS, "softarm/reality"),
+    "all": (*_FLIGHTS, *_REALITY),
     "blind": (*_BLIND, "softarm/diagnosis/baselines.py"),
-    "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
+    "bridging": (*_FLIGHTS, *_REALITY, "benchmarks/bridging.py"),
     "card": (*_TRAINING, "benchmarks/card.py"),
-    "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
+    "chained": (*_FLIGHTS, *_REALITY, "validation/chained.py", "validation/outside"),
     "closing": (
         *_FLIGHTS,
         *_DIAGNOSIS,
         "softarm/schemas/verdict.py",
-        "softarm/reality",
+        *_REALITY,
         "softarm/training",
         "validation/closing.py",
     ),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
     "detection": _BLIND,
-    "faults": (*_FLIGHTS, "softarm/reality"),
+    "faults": (*_FLIGHTS, *_REALITY),
     "grid": _FLIGHTS,
-    "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", *_ADVERSARY, "validation/limits.py"),
+    "limits": ("softarm/daemon/limits", "softarm/simulator", *_REALITY, *_ADVERSARY, "validation/limits.py"),
     "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "needs": _PLANNING,
