@@ -14,6 +14,7 @@ from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, 
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0
 FOLLOWED = 6  # degree of the polynomial of a follower's position by its leader's
+LEAST_REACH_M = 0.03  # from the last joint to a load
 OFF = 0.02  # largest share by which a healthy model's numbers are off
 
 
@@ -63,10 +64,49 @@ UNKNOWNS: Final[Mapping[str, Fault]] = {
 }
 
 
-# Faults of the whole mechanism, which several joints show: base tilted by up to four degrees, a load at the end.
-WHOLE: Final[Mapping[str, tuple[str, Callable[[Truth, np.random.Generator], Truth]]]] = {
-    "tilted": ("tilt", lambda truth, random: replace(truth, tilt_rad=_angles(random))),
-    "loaded": ("payload", lambda truth, random: replace(truth, load=random.uniform(0.4, 1.0))),
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """One fault of the whole mechanism: what is true with it, the joints that show it and the names that are right."""
+
+    truth: Truth
+    joints: tuple[str, ...]
+    names: tuple[str, ...]
+
+
+def _tilted(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
+    """Tilt the base by up to four degrees."""
+    return Whole(replace(truth, tilt_rad=_angles(random)), robot.judged, ("tilt",))
+
+
+def _loaded(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
+    """Load the centre of the last body."""
+    return Whole(replace(truth, load=random.uniform(0.4, 1.0)), robot.judged, ("payload",))
+
+
+def _beside(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
+    """Load the last body beside its centre, as far away as that centre is from the joint."""
+    *_, (_, _, reach_m) = _bodies(robot)
+    direction = random.normal(size=3)
+    x, y, z = map(float, max(reach_m, LEAST_REACH_M) * direction / np.linalg.norm(direction))
+    return Whole(replace(truth, load=random.uniform(0.4, 1.0), load_at_m=(x, y, z)), robot.judged, ("payload",))
+
+
+def _heavier(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
+    """Make one body heavier that several joints move; the last body alone is loaded alike by a payload."""
+    bodies = [(body, joints) for body, joints, _ in _bodies(robot)]
+    several = [(body, joints) for body, joints in bodies if len(joints) > 1]
+    body, joints = several[random.integers(len(several))]
+    masses = {**truth.masses, body: truth.masses.get(body, 1.0) * random.uniform(1.4, 2.0)}
+    alike = ("mass", "payload") if body == bodies[-1][0] else ()
+    return Whole(replace(truth, masses=masses), joints, (f"mass_{body}", *alike))
+
+
+# Faults of the whole mechanism, which several joints show.
+WHOLE: Final[Mapping[str, Callable[[Robot, Truth, np.random.Generator], Whole]]] = {
+    "tilted": _tilted,
+    "loaded": _loaded,
+    "beside": _beside,
+    "heavier": _heavier,
 }
 
 
@@ -90,10 +130,11 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
         causes.append({"fault": key, "joints": [joint], "names": list(table[key].names)})
     truth = Truth(laws, masses)
     if category == "whole":
-        key = str(random.choice(list(WHOLE)))
-        name_of, change = WHOLE[key]
-        truth = change(truth, random)
-        causes.append({"fault": key, "joints": list(robot.judged), "names": [name_of]})
+        several = any(len(joints) > 1 for _, joints, _ in _bodies(robot))
+        key = str(random.choice([key for key in WHOLE if several or key != "heavier"]))
+        fault = WHOLE[key](robot, truth, random)
+        truth = fault.truth
+        causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names)})
     place = folder / "data" / name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):
@@ -189,6 +230,23 @@ def _healthy(robot: Robot, random: np.random.Generator) -> tuple[dict[str, Joint
 
     laws = {name: JointLaw(viscous=off(), dry=off(), armature=off(), gain=off()) for name in robot.judged}
     return laws, {model.body(i).name: off() for i in range(1, model.nbody)}
+
+
+def _bodies(robot: Robot) -> list[tuple[str, tuple[str, ...], float]]:
+    """Return every body with the judged joints that move it and its centre's distance from its own frame, m."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(robot.model))
+    found: list[tuple[str, tuple[str, ...], float]] = []
+    for i in range(1, model.nbody):
+        above, joints = i, []
+        while above:
+            first = model.body_jntadr[above]
+            joints += [model.joint(j).name for j in range(first, first + model.body_jntnum[above])]
+            above = model.body_parentid[above]
+        judged = tuple(name for name in robot.judged if name in joints)
+        found.append((model.body(i).name, judged, float(np.linalg.norm(model.body_ipos[i]))))
+    return found
 
 
 def _angles(random: np.random.Generator) -> tuple[float, float]:

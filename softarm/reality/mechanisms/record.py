@@ -107,6 +107,7 @@ class Truth:
     masses: Mapping[str, float] = field(default_factory=dict)  # body -> factor
     tilt_rad: tuple[float, float] = (0.0, 0.0)  # of the base, about the model's x axis, then about its y axis
     load: float = 0.0  # extra point mass at the last body's centre, as a share of its mass
+    load_at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from that centre, in the body's frame
 
 
 def write(columns: Mapping[str, Array], path: Path) -> None:
@@ -168,12 +169,13 @@ def actuator_of(mujoco: Any, model: Any, joint: str) -> int:
     raise KeyError(joint)
 
 
-def loaded(mujoco: Any, path: Path, load: float) -> Any:
-    """Return a model with an extra mass at the centre of its last body, as a share of that body's mass."""
+def loaded(mujoco: Any, path: Path, truth: Truth) -> Any:
+    """Return a model with the extra mass of a truth."""
     spec = mujoco.MjSpec.from_file(str(path))
-    if load:
+    if truth.load:
         last = spec.bodies[-1]
-        extra = last.add_body(name="load", pos=last.ipos, mass=load * last.mass, inertia=[POINT_KG_M2] * 3)
+        place = last.ipos + truth.load_at_m
+        extra = last.add_body(name="load", pos=place, mass=truth.load * last.mass, inertia=[POINT_KG_M2] * 3)
         extra.explicitinertial = True
     return spec.compile()
 
@@ -195,7 +197,7 @@ class _Plant:
         self.mujoco: Any = mujoco
         self.robot, self.truth = robot, truth
         self.nominal = mujoco.MjModel.from_xml_path(str(robot.model))
-        model = self.model = loaded(mujoco, robot.model, truth.load)
+        model = self.model = loaded(mujoco, robot.model, truth)
         model.opt.timestep, model.opt.integrator = STEP_S, int(mujoco.mjtIntegrator.mjINT_EULER)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         model.dof_damping[:] = 0.0

@@ -54,19 +54,40 @@ def test_every_fault_changes_the_recording(name, healthy, scale):
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
 
 
-@pytest.mark.parametrize(("name", "joint"), [("tilted", "pan"), ("loaded", "tilt")])
+@pytest.mark.parametrize(
+    ("name", "joint"), [("tilted", "pan"), ("loaded", "tilt"), ("beside", "tilt"), ("heavier", "tilt")]
+)
 def test_every_fault_of_the_whole_mechanism_changes_a_joint(name, joint, healthy):
-    _, change = WHOLE[name]
-    faulty = columns("camera", change(HEALTHY, np.random.default_rng(0)))
+    fault = WHOLE[name](ROBOTS["camera"], HEALTHY, np.random.default_rng(0))
+    assert joint in fault.joints
+    faulty = columns("camera", fault.truth)
     assert np.abs(faulty[f"q_{joint}"] - healthy[f"q_{joint}"]).max() >= 2e-3
 
 
 def test_a_load_adds_its_share_of_the_last_body_s_mass():
-    before, after = (loaded(mujoco, ROBOTS["camera"].model, load) for load in (0.0, 0.5))
+    before, after = (loaded(mujoco, ROBOTS["camera"].model, truth) for truth in (HEALTHY, Truth({}, load=0.5)))
     added = after.body_subtreemass[0] - before.body_subtreemass[0]
     assert added == pytest.approx(0.5 * before.body("camera").mass[0])
     centre = [model.body("load").pos if model is after else model.body("camera").ipos for model in (before, after)]
     assert centre[1] == pytest.approx(centre[0])
+
+
+def test_a_load_beside_the_centre_is_as_far_away_as_the_centre_is_from_the_joint():
+    robot = ROBOTS["camera"]
+    truth = WHOLE["beside"](robot, HEALTHY, np.random.default_rng(0)).truth
+    centre = mujoco.MjModel.from_xml_path(str(robot.model)).body("camera").ipos
+    beside = loaded(mujoco, robot.model, truth).body("load").pos - centre
+    assert np.linalg.norm(beside) == pytest.approx(np.linalg.norm(centre))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_heavier_body_is_named_with_the_joints_that_move_it(seed):
+    fault = WHOLE["heavier"](ROBOTS["arm"], HEALTHY, np.random.default_rng(seed))
+    ((body, factor),) = fault.truth.masses.items()
+    assert fault.names[0] == f"mass_{body}"
+    assert 1.4 <= factor <= 2.0
+    carried = {"upper": 2, "fore": 3, "roll": 4, "wrist": 5, "tool": 6}
+    assert fault.joints == tuple(ROBOTS["arm"].follows)[: carried[body]]
 
 
 def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
@@ -84,7 +105,7 @@ def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypat
     draw_and_write(tmp_path, "case", seed=1, index=4, category="whole")
     (cause,) = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
     assert cause["joints"] == ["pan", "tilt"]
-    assert cause["names"] in (["tilt"], ["payload"])
+    assert cause["names"] in (["tilt"], ["payload"], ["mass_camera", "mass", "payload"])
 
 
 def test_followers_keep_the_equalities_of_their_model():
