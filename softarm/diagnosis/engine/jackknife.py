@@ -9,7 +9,8 @@ from scipy.special import stdtrit
 
 from softarm.diagnosis.engine.view import Array
 
-RIDGE = 1e-10  # of the largest diagonal entry; an invisible parameter gets no error instead of an infinite one
+# Share of the largest diagonal entry, and the least one: an invisible parameter gets no error, not an infinite one.
+RIDGE, LEAST = 1e-10, 1e-30
 
 
 def covariance(normal: Array, slope: Array, solution: Array) -> Array:
@@ -26,6 +27,6 @@ def covariance(normal: Array, slope: Array, solution: Array) -> Array:
     if blocks < 2:
         return np.diag(np.full(len(solution), np.inf))
     total = normal.sum(axis=0)
-    without = total - normal + RIDGE * total.diagonal().max() * np.eye(len(total))
+    without = total - normal + RIDGE * max(total.diagonal().max(), LEAST) * np.eye(len(total))
     moved = np.linalg.solve(without, (slope + normal @ solution)[:, :, None])[:, :, 0]
     return np.asarray(stdtrit(blocks - 1, 0.975) ** 2 * (blocks - 1) / blocks * (moved.T @ moved))

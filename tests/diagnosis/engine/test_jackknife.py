@@ -25,4 +25,5 @@ def test_an_invisible_unknown_has_no_error_and_one_block_has_an_infinite_one():
     design = np.random.default_rng(1).normal(size=(6, 20, 2)) * (1.0, 0.0)
     normal = np.einsum("bni,bnj->bij", design, design)
     assert covariance(normal, np.zeros((6, 2)), np.zeros(2))[1, 1] == 0.0
+    assert not covariance(0 * normal, np.zeros((6, 2)), np.zeros(2)).any()  # a joint that nothing moves
     assert np.isinf(covariance(normal[:1], np.zeros((1, 2)), np.zeros(2)).diagonal()).all()
