@@ -9,7 +9,7 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe.proposal import Answers, Draft, Proposal, Use
 from softarm.diagnosis.describe.survey import Signal, Survey
 
-# Readings this much wider than the joint's range, or than two turns, are in degrees.
+# Readings this much wider than the joint's range, or than two turns of a position loop without one, are in degrees.
 WIDER, TURNS_RAD = 1.5, 13.0
 _RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
 # Headers of a pose, in letters and digits: its name, and the part of the orientation or of the position.
@@ -28,6 +28,12 @@ class ModelJoint:
     actuator: str  # empty without one
     command_unit: str
     moved: bool = False  # a column of a floating body's pose, which no torque of the model moves
+
+    @property
+    def widest(self) -> float:
+        """Return the widest readings in the model's unit; a joint without a limit or a position loop may spin."""
+        spins = self.span == float("inf") and self.command_unit != self.unit
+        return self.span if spins else min(WIDER * self.span, TURNS_RAD)
 
 
 def propose(
@@ -71,7 +77,7 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
     poses = _poses(draft, joints)
     for joint in joints:
         if joint.name in poses:
-            found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.span)
+            found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
         position_loop = joint.command_unit == joint.unit
@@ -83,10 +89,9 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
             continue
         driven = bool(joint.actuator) and command is not None
         channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
-        found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.span)
+        found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.widest)
         if joint.actuator and command is not None:
-            span = joint.span if position_loop else float("inf")
-            found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, span)
+            found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, joint.widest)
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
     return found
@@ -158,14 +163,14 @@ def _first(draft: Draft, signals: Sequence[Signal], excluded: Sequence[str]) -> 
     return min(fitting, key=lambda s: (len(s.label), s.label), default=None)
 
 
-def _use(draft: Draft, signal: Signal, unit: str, span: float) -> Use:
-    """Return a column with its unit: given, in its header, or by the joint's range."""
+def _use(draft: Draft, signal: Signal, unit: str, widest: float) -> Use:
+    """Return a column with its unit: given, in its header, or by the joint's widest readings."""
     if given := draft.units.get(signal.label):
         return Use(signal, given, "as given")
     if (own := signal.header.unit) and factor(own)[1] == unit:
         return Use(signal, own, "from the header")
     wide = float(signal.all.max() - signal.all.min())
-    if unit == "rad" and wide > min(WIDER * span, TURNS_RAD):
+    if unit == "rad" and wide > widest:
         return Use(signal, "deg", "by the range of the joint")
     return Use(signal, unit, "of the model")
 

@@ -8,6 +8,7 @@ import yaml
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.diagnosis.describe.joints import ModelJoint
 from softarm.reality.mechanisms.record import ROBOTS, Truth, record
 
 
@@ -70,6 +71,12 @@ def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
         for use in stage["channels"][name]["columns"].values()
     }
     assert set(units.values()) == {"deg"}
+
+
+@pytest.mark.parametrize(("actuator", "unit"), [("position", "deg"), ("motor", "rad")])
+def test_a_motor_without_a_limit_may_spin_and_a_position_loop_may_not(actuator, unit):
+    joint = ModelJoint("wheel", "rad", np.inf, "drive", "rad" if actuator == "position" else "N m")
+    assert ("deg" if joint.widest < 50.0 else "rad") == unit
 
 
 def test_a_joint_that_no_column_measures_is_stated_before_the_diagnosis(tmp_path, columns):

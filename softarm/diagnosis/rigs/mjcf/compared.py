@@ -20,7 +20,9 @@ KEPT, WIDEST = 0.9, 0.025
 Smooth = Callable[[Iterable[Array]], Array]
 
 
-def smoother(motions: Sequence[Motion], sent: Sequence[Array], free: Sequence[NDArray[np.bool_]]) -> Smooth:
+def smoother(
+    motions: Sequence[Motion], sent: Sequence[Array], free: Sequence[NDArray[np.bool_]], width: float = 1.0
+) -> Smooth:
     """Return the smoothing that keeps most of the commands, at samples without a contact.
 
     The double difference of an encoder's noise is larger than most accelerations, but lies at higher frequencies than
@@ -30,8 +32,9 @@ def smoother(motions: Sequence[Motion], sent: Sequence[Array], free: Sequence[ND
         motions: motion of each recording.
         sent: its command, [T of the recording].
         free: samples without a contact or a limit, [T of the recording].
+        width: factor of the smoothing's width.
     """
-    widths = [_width(s, m.grid.step_s) for s, m in zip(sent, motions, strict=True)]
+    widths = [width * _width(s, m.grid.step_s) for s, m in zip(sent, motions, strict=True)]
 
     def smooth(signals: Iterable[Array]) -> Array:
         recordings = zip(signals, free, widths, strict=True)

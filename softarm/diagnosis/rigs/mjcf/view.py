@@ -25,7 +25,7 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
-from softarm.diagnosis.rigs.mjcf.descriptions import right_description
+from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
 from softarm.diagnosis.rigs.mjcf.effects import MASS, JointScales, joint_effects, part_effects
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
@@ -70,6 +70,8 @@ MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
 OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE, LEVEL_RAD = 3e-3, 2e-3, 5e-3
+# Smoothing of a free joint's motion, as a share of the usual width: its weight is no linear function of the angle.
+NARROW = 0.25
 # Relative errors of a gain at which a search may begin: models often have those of another unit or firmware.
 FAR_GAINS = -0.7, -0.9, -0.97, -0.985
 # Travels over which a model's friction may bend, in its usual value.
@@ -299,6 +301,9 @@ class JointView(RigView):
         if found := [*checks.out_of_range(joint, where, seen)]:
             raise TrialError("\n".join(found))
         if not self._sent:
+            smooth = smoother(self._motions, [m.speed for m in self._motions], free, NARROW)
+            if wrong := misread(self._mechanism, joint, self._others.smoothed(smooth)):
+                raise TrialError(f"{where}: {wrong}")
             return []
         smooth = smoother(self._motions, self._sent, free)
         signals = compared(joint, self._motions, self._sent, smooth, self._terms_along)

@@ -18,10 +18,10 @@ from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Return the text of a healthy recording of camera and leg, by robot."""
+    """Return the text of a healthy recording of camera, leg and cart-pole, by robot."""
     folder = tmp_path_factory.mktemp("recorded")
     found = {}
-    for name in ("camera", "leg"):
+    for name in ("camera", "leg", "cartpole"):
         write(record(ROBOTS[name], Truth({}), "multisine", 3.0, np.random.default_rng(1)), folder / f"{name}.csv")
         found[name] = (folder / f"{name}.csv").read_text()
     return found
@@ -53,6 +53,16 @@ def test_a_right_description_is_accepted(tmp_path, recorded):
         ("camera", "tilt", "source: cmd_tilt, unit: rad", "source: cmd_tilt, unit: deg", "range 57.[0-9]* times"),
         ("camera", "tilt", "source: q_tilt, unit: rad", "source: q_tilt, unit: rad, scale: -1", "opposite sign"),
         ("leg", "hip", "source: cmd_hip, unit: N m", "source: cmd_hip, unit: N m, scale: -1", "opposite sign"),
+        ("cartpole", "hinge", "q_hinge, unit: rad", "q_hinge, unit: deg", "with `unit: rad` for hinge it explains"),
+        ("cartpole", "hinge", "q_hinge, unit: rad", "q_hinge, unit: rad, scale: 57.3", "with `unit: deg` for hinge"),
+        ("cartpole", "hinge", "q_hinge, unit: rad", "q_hinge, unit: rad, add: 3.1416", "with `add: 3.142` for hinge"),
+        (
+            "cartpole",
+            "hinge",
+            "q_hinge, unit: rad",
+            "q_hinge, unit: rad, scale: -1",
+            "hinge or `scale: -1` for rail",
+        ),
         ("camera", "pan", "pan: {source: q_pan", "pam: {source: q_pan", "did you mean pan"),
         ("camera", "pan", "pan_drive: {", "pan_motor: {", "add a column pan_drive"),
     ],
