@@ -62,7 +62,8 @@ def misread(mechanism: Mechanism, joint: Joint, motions: Motion) -> str:
     remedy = right_description(mechanism, joint, motions, most=LEFT * left) if left > RIGHT else ""
     if not remedy:
         return ""
-    return f"{joint.name}: by the model, the measured motion explains {100 * (1 - left):.0f} % of its acceleration; {remedy}"
+    share = f"{100 * (1 - left):.0f} %"
+    return f"{joint.name}: by the model, the measured motion explains {share} of its acceleration; {remedy}"
 
 
 def _changes(mechanism: Mechanism, motions: Motion) -> Iterator[tuple[str, Motion]]:
