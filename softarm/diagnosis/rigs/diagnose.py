@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
+from softarm.diagnosis.rigs.settling import chosen_law, common_law
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine
 from softarm.diagnosis.rigs.tracking import velocity_warnings
 from softarm.diagnosis.rigs.whole import judged
@@ -47,6 +48,7 @@ def diagnose_table(
     for trial in trials:
         own.setdefault(stage_of([trial]).name, []).append(trial)
     found = _alone(own, budget_s / len(own), report, processes)
+    _with_one_law(own, found, budget_s / len(own), report, processes)
     joint = _joint(own, found, budget_s / len(own), report, processes)
     stages = [found[name].rated(found) for name in sorted(own)]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
@@ -83,6 +85,24 @@ def _alone(own: Mapping[str, Sequence[Trial]], budget_s: float, report: Progress
     return found
 
 
+def _with_one_law(
+    own: Mapping[str, Sequence[Trial]],
+    found: dict[str, Finding],
+    budget_s: float,
+    report: Progress,
+    processes: int,
+) -> None:
+    """Diagnose the stages again that chose another law of the nominal model than all of them together show."""
+    law = common_law([finding.losses for finding in found.values()])
+    if law is None:
+        return
+    other = [stage for stage, finding in found.items() if finding.losses and chosen_law(finding.losses) != law]
+    work = partial(examine, budget_s=budget_s, law=law)
+    for k, (_, finding) in enumerate(as_they_come(work, [own[stage] for stage in other], processes)):
+        found[finding.answer.stage] = finding
+        report(f"{finding.answer.stage}, as simulated", FIRST + 0.5 * (1 - FIRST) * k / len(other))
+
+
 def _joint(
     own: Mapping[str, Sequence[Trial]],
     found: dict[str, Finding],
@@ -95,7 +115,7 @@ def _joint(
     for judgement in judgements:
         for stage, each in judgement.held.items():
             held.setdefault(stage, []).append(each)
-    jobs = [(own[stage], each) for stage, each in held.items()]
+    jobs = [(own[stage], each, found[stage].law) for stage, each in held.items()]
     for k, (_, finding) in enumerate(as_they_come(partial(_again, budget_s=budget_s), jobs, processes)):
         stage = finding.answer.stage
         found[stage] = replace(finding, vocabulary=found[stage].vocabulary)
@@ -103,9 +123,10 @@ def _joint(
     return [judgement.text for judgement in judgements]
 
 
-def _again(stage: tuple[Sequence[Trial], Sequence[Held]], budget_s: float) -> Finding:
-    """Diagnose a stage with effects that all stages determined together."""
-    return examine(*stage, budget_s=budget_s)
+def _again(stage: tuple[Sequence[Trial], Sequence[Held], int | None], budget_s: float) -> Finding:
+    """Diagnose a stage with effects, and the law, that all stages determined together."""
+    trials, held, law = stage
+    return examine(trials, held, budget_s, law=law)
 
 
 def merged(warnings: Iterable[str], stages: Sequence[str]) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Diagnosis of one stage of a rig."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
@@ -15,13 +15,11 @@ from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.calibration import held_out_squares
-from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
 from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
-from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.fitted import FittedChoice
-from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
@@ -33,6 +31,7 @@ from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.mjcf.view import JointView
+from softarm.diagnosis.rigs.settling import settled
 from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView
 from softarm.diagnosis.rigs.views import RigView
@@ -60,13 +59,6 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]]
 HALVINGS = 3
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
-# Effects that a curved parameter is settled beside, and the rounds of their fits.
-LIKELY, SETTLING_ROUNDS = 4, 3
-# Energy of a gap above its noise, per sample, below which two gaps count as equal.
-SAME = 0.25
-# Share of the squared gap that remains next to such an effect at most, if it explains most of the gap; and with another
-# law of the nominal model, if that law is used.
-MOST = 0.5
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
 _WEAK_HELD_OUT = {
@@ -105,6 +97,8 @@ class Finding:
     warnings: tuple[str, ...]
     driven_by: frozenset[str]  # stages whose measured motion loads this stage
     assumed: Mapping[str, float]  # 'effect.parameter' -> settled value of the nominal model
+    law: int | None  # number of the law that all stages together determined, if they did
+    losses: tuple[float, ...]  # by law: energy of the gap per sample; empty if the view has one law or this was given
 
     @property
     def is_unexplained(self) -> bool:
@@ -152,6 +146,7 @@ def examine(
     held: Sequence[Held] = (),
     budget_s: float = math.inf,
     report: Progress = lambda text, share: None,
+    law: int | None = None,
 ) -> Finding:
     """Diagnose one stage from its trials; if the budget binds, the search uses the most informative stretches.
 
@@ -160,6 +155,7 @@ def examine(
         held: effects of the whole mechanism, which the stage's search does not change.
         budget_s: processor time, s.
         report: called with the current step and the finished share, 0 to 1.
+        law: number of the nominal model's law that all stages together determined; None to choose it.
     """
 
     def holding(view: RigView) -> RigView:
@@ -173,7 +169,7 @@ def examine(
     if reduced is not None:
         used, note = reduced
         view, notes = holding(part_of(used)), [note]
-    setup = settled(view, used.kinds, used.origins)
+    setup, losses = settled(view, used.kinds, used.origins, law)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
     search = replace(thresholds.search, refit=view.restarts_few_effects)
     if notes:  # each repeat costs as much as the search
@@ -189,80 +185,7 @@ def examine(
         whole.adopt(view.assumed)
         fitted = found.on(setup_of(whole, used.kinds, used.origins))
     finding = _Stage(found, fitted, used.trials, known).finding()
-    return replace(finding, warnings=(*notes, *finding.warnings))
-
-
-def settled(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
-    """Return the problem of a view; each curved parameter gets the value that leaves the smallest gap.
-
-    If one effect explains most of the gap, that is the smallest gap next to this effect; alone, the parameter would
-    replace a part of the effect.
-    """
-
-    def setup() -> Setup:
-        return setup_of(view, kinds, origins)
-
-    def least(path: str, value: float, sets: Sequence[tuple[EffectSet, Coordinates]]) -> float:
-        view.assume(path, value)
-        return min(fit.loss for fit in setup().plain().fit(sets, SETTLING_ROUNDS))
-
-    samples = int(np.isfinite(view.measured).sum())
-    for path, values in view.curved.items():
-        losses = [least(path, value, [((), ())]) for value in values]
-        best = values[int(np.argmin(losses))]
-        view.assume(path, best)
-        if min(losses) > RIG.gain.ignored * samples:
-            likely = _likely(setup().plain(), [c for c in candidates(view) if not _owns(c, path)])
-            beside = [least(path, value, likely) for value in values]
-            if min(beside) < MOST * min(losses):
-                best = values[int(np.argmin(beside))]
-            view.assume(path, best)
-    if len(view.laws) > 1:
-        _choose_law(view, setup)
-    return setup()
-
-
-def _choose_law(view: RigView, setup: Callable[[], Setup]) -> None:
-    """Assume the law that leaves the smallest gap, or the usual one if it leaves about as much beside the noise.
-
-    The gap next to an effect counts if the effect explains most of it, and more than one that needs no effect.
-    """
-    samples = int(np.isfinite(view.measured).sum())
-
-    def left(law: Mapping[str, float]) -> float:
-        _assume(view, law)
-        problem = setup().plain()
-        alone, explained = (
-            min(fit.loss for fit in problem.fit(sets, SETTLING_ROUNDS)) / samples
-            for sets in ([((), ())], _likely(problem, candidates(view)))
-        )
-        return min(alone, explained / MOST)
-
-    losses = [left(law) for law in view.laws]
-    usual, least = (max(loss - 1.0, SAME) for loss in (losses[0], min(losses)))
-    chosen = int(np.argmin(losses)) if least < MOST * usual else 0
-    _assume(view, view.laws[chosen])
-    if chosen:
-        view.measure_noise()
-
-
-def _assume(view: RigView, law: Mapping[str, float]) -> None:
-    for path, value in law.items():
-        view.assume(path, value)
-
-
-def _owns(candidate: Candidate, path: str) -> bool:
-    return any(parameter.path.endswith(f".{path}") for parameter in candidate.parameters)
-
-
-def _likely(problem: FitProblem, known: Sequence[Candidate]) -> list[tuple[EffectSet, Coordinates]]:
-    """Return the effects that explain most, each as a set of its own with its first fit."""
-    sets: list[tuple[EffectSet, Coordinates]] = [((each,), (start,)) for each in known for start in each.starts]
-    begun: dict[str, tuple[EffectSet, Coordinates]] = {}
-    for _, (effects, u) in sorted(zip(problem.losses(sets), sets, strict=True), key=lambda each: each[0]):
-        begun.setdefault(effects[0].name, (effects, u))
-    fits = sorted(problem.fit([*begun.values()], SETTLING_ROUNDS), key=lambda fit: fit.loss)
-    return [(fit.effects, fit.u) for fit in fits[:LIKELY]]
+    return replace(finding, warnings=(*notes, *finding.warnings), law=law, losses=losses)
 
 
 def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:
@@ -355,6 +278,8 @@ class _Stage:
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
             assumed=view.assumed,
+            law=None,
+            losses=(),
         )
 
     def _unit(self, path: str) -> str:

@@ -20,7 +20,8 @@ from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.rigs.candidates import candidates
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.view import JointView
-from softarm.diagnosis.rigs.stage import Finding, settled, view_of
+from softarm.diagnosis.rigs.settling import settled
+from softarm.diagnosis.rigs.stage import Finding, view_of
 from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink

@@ -1,0 +1,90 @@
+"""Laws of a simulation, which all joints of a mechanism determine together."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.settling import chosen_law, common_law
+from softarm.diagnosis.rigs.stage import examine
+
+# Energies per sample with the usual law, with friction that creeps, and with the steps of a simulation as well.
+HEALTHY, FAULTY = (1.18, 1.17, 0.97), (2.2, 2.0, 2.0)
+
+
+def test_joints_that_are_alone_not_sure_determine_a_law_together():
+    assert chosen_law(HEALTHY) == 0
+    assert common_law([HEALTHY] * 8) == 2
+    assert common_law([*[HEALTHY] * 8, FAULTY, FAULTY]) == 2
+
+
+@pytest.mark.parametrize(
+    "losses",
+    [
+        [HEALTHY] * 2,  # too few
+        [FAULTY] * 8,  # no law leaves noise alone
+        [(1.0, 1.0, 1.0)] * 8,
+        [(1.18, 1.2, 6.0)] * 8,
+        [()] * 8,
+    ],
+)
+def test_without_evidence_each_joint_keeps_its_own_law(losses):
+    assert common_law(losses) is None
+
+
+def test_a_joint_that_shows_fewer_laws_does_not_count():
+    assert common_law([*[HEALTHY] * 8, *[(1.0, 1.0)] * 9]) == 2
+
+
+STEP_S, RATE_HZ, SECONDS = 0.004, 125, 16
+LEG = '<body><joint name="j{k}" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" mass="2"/></body>'
+ROBOT = f"""<mujoco>
+  <option timestep="{STEP_S}"><flag contact="disable"/></option>
+  <default>
+    <joint damping="2" armature="0.1" frictionloss="0.2"/><geom size="0.03"/><position kp="400" kv="20"/>
+  </default>
+  <worldbody>{"".join(LEG.format(k=k) for k in range(4))}</worldbody>
+  <actuator>{"".join(f'<position name="a{k}" joint="j{k}"/>' for k in range(4))}</actuator>
+</mujoco>
+"""
+
+
+def write(folder):
+    """Record four legs side by side in MuJoCo, of which one has twice the damping, and describe them."""
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    model.dof_damping[1] = 4.0
+    (folder / "robot.xml").write_text(ROBOT)
+    t = np.arange(SECONDS * RATE_HZ) / RATE_HZ
+    names = [f"a{k}" for k in range(4)], [f"j{k}" for k in range(4)]
+    for seed in range(3):
+        data, random, rows = mujoco.MjData(model), np.random.default_rng(seed), []
+        phase, speed = random.uniform(0, 2 * np.pi, (4, 3)), random.uniform(0.7, 1.3, (4, 3)) * (0.3, 0.9, 1.9)
+        goals = 0.2 * np.sin(2 * np.pi * t[:, None, None] * speed + phase).sum(axis=2)
+        data.qpos[:] = goals[0]
+        for at, goal in zip(t, goals, strict=True):
+            data.ctrl[:] = goal
+            rows.append([at, *goal, *data.qpos + 2e-4 * random.normal(size=4)])
+            mujoco.mj_step(model, data, nstep=round(1 / RATE_HZ / STEP_S))
+        header = ",".join(("t", *names[0], *names[1]))
+        np.savetxt(folder / f"motion-{seed}.csv", rows, "%.8g", delimiter=",", header=header, comments="")
+    channels = "\n".join(
+        f"  {channel}:\n    time: {{source: t, unit: s}}\n    columns:\n"
+        + "\n".join(f"      {name}: {{source: {name}, unit: rad}}" for name in own)
+        for channel, own in zip(("command", "measured"), names, strict=True)
+    )
+    trials = "model: {mjcf: robot.xml}\ntrials: [{files: 'motion*.csv'}]\n"
+    (folder / "stage.yaml").write_text(f"kind: mujoco\nchannels:\n{channels}\n{trials}")
+    return folder / "stage.yaml"
+
+
+@pytest.mark.prove
+def test_an_effect_beside_the_steps_of_a_simulation_has_its_own_size(tmp_path):
+    trials = tables.read(write(tmp_path))
+    alone = examine([trial for trial in trials if trial.stage.name == "j1"])
+    assert not any("own step" in text for text in alone.warnings)  # the effect stands in for the steps
+    verdict = diagnose_table(trials).verdict
+    assert any(text.startswith("all 4 stages: the motion has the errors of a simul") for text in verdict.warnings)
+    (effect,) = verdict.effects
+    assert effect.name == "j1.damping"
+    assert effect.parameters["viscous"].low < 4.0 < effect.parameters["viscous"].high
