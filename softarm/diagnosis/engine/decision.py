@@ -42,6 +42,7 @@ class Evidence:
     # Findings of further tests with noise floors of their own; no effect of the list explains them.
     signs: Mapping[str, Structure] = field(default_factory=dict)
     unresolved: AbstractSet[str] = frozenset()  # chosen effects that the data do not resolve
+    caused: bool = False  # whether the views hold a named effect already
     # Share of the residual that a flexible model finds beyond chance, if nothing is named and no noise floor is known;
     # None if it was not tested.
     proven: Energies | None = None
@@ -63,7 +64,7 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     causes = tuple(effect for effect in choice.selected if is_cause(effect, choice, rest, thresholds))
     fallen = tuple(effect for effect in choice.selected if effect not in causes)
     unresolved = tuple(effect for effect in causes if effect.candidate.name in evidence.unresolved)
-    if len(unresolved) == len(causes):  # the gap has a cause, and nothing explains it better than the first
+    if len(unresolved) == len(causes) and not evidence.caused:  # the gap has a cause, and the first explains it best
         unresolved = unresolved[1:]
     selected = tuple(effect for effect in causes if effect not in unresolved)
     taken = _added({stage: evidence.tolerated.get(stage, 0.0) for stage in rest.left}, selected)
@@ -81,6 +82,11 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
         # Next to a rest in its own stage, an effect may stand in for an unknown cause, which has no steady strength.
         most = thresholds.cause.constant_max
         doubtful = tuple(e for e in selected if e.strongest in unnamed and _varies(e, choice, most))
+    elif not whole:  # nor is the first the cause if it leaves a rest and may have the model's own value
+        doubtful = tuple(effect for effect in selected if effect.candidate.name in evidence.unresolved)
+    else:
+        doubtful = ()
+    if doubtful:
         selected = tuple(effect for effect in selected if effect not in doubtful)
         left = _added(left, doubtful)
         share = _share(selected, left)

@@ -112,18 +112,22 @@ class Examination(FittedChoice):
         return slow_changes(self.setup, self.search, self.searched)
 
     def decide(
-        self, signs: Mapping[str, Structure] | None = None, unresolved: frozenset[str] | None = None
+        self,
+        signs: Mapping[str, Structure] | None = None,
+        unresolved: frozenset[str] | None = None,
+        caused: bool = False,
     ) -> Decision:
         """Return the verdict on the chosen effects.
 
         Args:
             signs: stage -> finding of a further test, which no effect of the list explains. A slow change comes first.
             unresolved: chosen effects that the data do not resolve; by default those of the search's own data.
+            caused: whether the views hold a named effect already.
         """
         unresolved = self.unresolved if unresolved is None else unresolved
         signs = {**(signs or {}), **self.slow}
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, unresolved)
+        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs, unresolved, caused)
         decision = decide(self.choice, evidence, self.thresholds)
         if decision.kind == "unknown" and self.thresholds.approximate and not signs:  # the floor is an estimate
             return decide(self.choice, replace(evidence, proven=self.proven), self.thresholds)

@@ -98,14 +98,17 @@ class FittedChoice:
         """Return the chosen effects that the data do not resolve.
 
         The interval of such an effect contains the model's own value, or no sample reaches the effect. The others'
-        intervals change without it, so the one with the smallest gain is left out until all others are resolved.
+        intervals change without it, so the one with the smallest gain is left out until all others are resolved. The
+        last one is resolved if it is beside all others: without them, it has their gap as well.
         """
         gains = {effect.candidate.name: effect.gain.value for effect in self.choice.selected}
         fit, found = self.choice.chosen, set[str]()
-        while len(fit.effects) > 1 and (open_ones := self.open_effects(fit)):
+        beside_all = open_ones = self.open_effects(fit)
+        while open_ones and len(fit.effects) > 1:
             found.add(min(open_ones, key=lambda name: gains.get(name, 0.0)))
             fit = self.verdict_problem.part(fit, [i for i, name in enumerate(fit.names) if name not in found])
-        return frozenset(found)
+            open_ones = self.open_effects(fit)
+        return frozenset(found | {*open_ones} & {*beside_all})
 
     def open_effects(self, fit: Fit) -> list[str]:
         """Return the effects of a fit that may have the model's own value, or that no sample reaches.
@@ -114,6 +117,8 @@ class FittedChoice:
         offset of a reading may be uncertain while both together are not.
         """
         found, first = [], 0
+        if not fit.effects:
+            return []
         low, high = self.interval(fit)
         _, best, spread = self.search.problem.region(fit, self.thresholds.approximate)
         nominal = np.array([d.nominal for d in parameters_of(fit.effects)])

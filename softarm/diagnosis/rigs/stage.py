@@ -97,8 +97,8 @@ class Finding:
     warnings: tuple[str, ...]
     driven_by: frozenset[str]  # stages whose measured motion loads this stage
     assumed: Mapping[str, float]  # 'effect.parameter' -> settled value of the nominal model
-    law: int | None  # number of the law that all stages together determined, if they did
-    losses: tuple[float, ...]  # by law: energy of the gap per sample; empty if the view has one law or this was given
+    law: int | None = None  # number of the law that all stages together determined, if they did
+    losses: tuple[float, ...] = ()  # by law: energy of the gap per sample; empty if there is one law or it was given
 
     @property
     def is_unexplained(self) -> bool:
@@ -243,7 +243,7 @@ class _Stage:
         """
         (self.view,) = cast("tuple[RigView]", fitted.setup.views)
         self.found, self.fitted, self.trials, self.known = found, fitted, trials, known
-        self.choice, self.decision = found.choice, found.decide(unresolved=fitted.unresolved)
+        self.choice, self.decision = found.choice, found.decide(None, fitted.unresolved, bool(known))
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
             self.decision = replace(self.decision, kind=kind, noise=False)
@@ -278,8 +278,6 @@ class _Stage:
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
             assumed=view.assumed,
-            law=None,
-            losses=(),
         )
 
     def _unit(self, path: str) -> str:

@@ -274,6 +274,16 @@ def test_an_unresolved_second_effect_is_not_named_and_its_energy_is_left(second,
     assert decision.unexplained["arm"] == pytest.approx(second)
 
 
+def test_an_only_effect_that_is_not_resolved_is_named_if_it_leaves_no_rest_and_nothing_else_is_named():
+    payload, open_ones = _named_effect("arm.payload", arm=49.0), frozenset({"arm.payload"})
+    whole, rest = (_choice({"arm": 80.0}, {"arm": left}, payload) for left in (1.0, 31.0))
+    assert _names(_decide(whole, {}, thresholds=RIG, unresolved=open_ones)) == ["arm.payload"]
+    assert _names(_decide(whole, {}, thresholds=RIG, unresolved=open_ones, caused=True)) == []
+    assert _names(_decide(rest, {"arm": 0.9}, thresholds=_rig(explained_over=0.5))) == ["arm.payload"]
+    dropped = _decide(rest, {"arm": 0.9}, thresholds=_rig(explained_over=0.5), unresolved=open_ones)
+    assert (dropped.kind, dropped.selected) == ("unknown", ())
+
+
 def test_without_evidence_a_residual_of_a_rig_is_noise_and_a_proven_share_counts():
     """Thirty noise floors, and structure: what no flexible model explains is no effect."""
     parts = _choice({"arm": 900.0}, {"arm": 900.0})
