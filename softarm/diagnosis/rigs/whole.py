@@ -68,7 +68,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     """Return the effects of the whole to judge: effect and the part that has it -> the stages that it loads.
 
     An effect is judged if a stage shows it. That of a body is also judged if a stage shows an effect that may be this
-    one, and a second stage does so or has a gap without a name. The mass of the last link is left to the payload.
+    one, and a second stage does so or has a gap without a name.
     """
     stages_of: dict[tuple[str, str], list[str]] = {}
     for stage in sorted(found):
@@ -85,11 +85,10 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
         ) > 1
         return any(f"{s}.{effect}" in shown for s in stages) or (several and not heavier.isdisjoint(stages))
 
-    last = {part.removeprefix("end ") for effect, part in stages_of if effect == "payload"}
     return {
         (effect, part): stages
         for (effect, part), stages in stages_of.items()
-        if len(stages) > 1 and is_open(effect, stages) and (effect == "payload" or part not in last)
+        if len(stages) > 1 and is_open(effect, stages)
     }
 
 
@@ -130,6 +129,8 @@ def _searched(
         for (effect, part), stages in loaded.items()
     }
     judged = {f"{stage}.{effect}" for (effect, _), stages in loaded.items() for stage in stages}
+    # The mass behind a joint that moves one body is the mass of that body.
+    judged |= {f"{v.stage}.mass" for v in views if len(v.together) == 1 and v.together[0].name in judged}
     rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name not in judged]
     known = (*common.values(), *rivals)
     planned_s = work.backward(len(known), len(parameters_of(known))) * sum(view.rollout_s for view in views)

@@ -115,6 +115,16 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert 0 < size.low < 1.2 < size.high
 
 
+def test_a_heavier_last_body_is_no_payload(tmp_path):
+    """A point mass at the foot's centre lacks its inertia; beside it, the ankle had five wrong numbers."""
+    own = by_joint(tmp_path, "leg", Truth({}, masses={"foot": 1.7}))
+    (found,) = judged(own, shown(own, hip=("payload",), knee=("payload",), ankle=("mass", "payload")))
+    assert {held.effect for held in found.held.values()} == {"mass_foot"}
+    for held in found.held.values():
+        assert held.named.shared_by == ("ankle", "hip", "knee")
+        assert held.named.parameters["scale"].low < 0.7 < held.named.parameters["scale"].high
+
+
 @pytest.mark.parametrize("fitted", [FEW, FEW + 1])
 def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_found(tmp_path, fitted):
     own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))

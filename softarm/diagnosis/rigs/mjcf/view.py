@@ -110,7 +110,7 @@ class JointView(RigView):
         self.assumptions = (*still, *self._stuck(), *self._refuse_mistakes(trials))
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
-        parts = [part for part in joint.parts if "." not in part] if scales.mass and len(joint.parts) > 1 else []
+        parts = [part for part in joint.parts if "." not in part] if scales.mass else []
         self.together, self.whole = part_effects(stage.name, parts), self.whole | {MASS + part for part in parts}
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
@@ -434,8 +434,8 @@ class JointView(RigView):
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
-        """Errors of a good model that are no effect: name -> share of a body's mass."""
-        return {effect.name: OF_OWN for effect in self.together}
+        """Errors of a good model that are no effect: name -> share of a body's mass; of an only body it is `mass`."""
+        return {effect.name: OF_OWN for effect in self.together} if len(self.together) > 1 else {}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with each of these errors, [q, M, 1]."""
