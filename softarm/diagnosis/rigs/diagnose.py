@@ -13,7 +13,7 @@ from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
-from softarm.diagnosis.rigs.settling import chosen_law, common_law
+from softarm.diagnosis.rigs.settling import common_law, is_other_law
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine
 from softarm.diagnosis.rigs.tracking import velocity_warnings
 from softarm.diagnosis.rigs.whole import judged
@@ -92,11 +92,18 @@ def _with_one_law(
     report: Progress,
     processes: int,
 ) -> None:
-    """Diagnose the stages again that chose another law of the nominal model than all of them together show."""
+    """Diagnose the stages again that chose another law of the nominal model than all of them together show.
+
+    A stage without a cause is left as it is if it has no gap with that law.
+    """
     law = common_law([finding.losses for finding in found.values()])
     if law is None:
         return
-    other = [stage for stage, finding in found.items() if finding.losses and chosen_law(finding.losses) != law]
+    other = [
+        stage
+        for stage, finding in found.items()
+        if is_other_law(finding.losses, law, has_cause=finding.decision.kind != "none")
+    ]
     work = partial(examine, budget_s=budget_s, law=law)
     for k, (_, finding) in enumerate(as_they_come(work, [own[stage] for stage in other], processes)):
         found[finding.answer.stage] = finding

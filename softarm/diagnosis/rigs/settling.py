@@ -79,6 +79,19 @@ def common_law(losses: Sequence[Sequence[float]]) -> int | None:
     return chosen if chosen and middle[chosen] < 1 + SAME else None
 
 
+def is_other_law(losses: Sequence[float], law: int, *, has_cause: bool) -> bool:
+    """Return whether a stage chose another law than the common one, which would change its answer.
+
+    Args:
+        losses: energies of its gap per sample, by law.
+        law: number of the common law.
+        has_cause: whether the stage has a gap; a healthy stage stays healthy if the common law leaves noise.
+    """
+    if len(losses) < 2 or chosen_law(losses) == law:
+        return False
+    return has_cause or losses[min(law, len(losses) - 1)] > 1 + SAME
+
+
 def _losses(view: RigView, setup: Callable[[], Setup]) -> tuple[float, ...]:
     """Return the energy of the gap per sample with each law of a view.
 
