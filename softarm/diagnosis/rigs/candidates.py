@@ -40,6 +40,7 @@ class Falling(FittedParameter):
 def candidates(view: RigView) -> tuple[Candidate, ...]:
     """Return every effect that the stage can have, and only the first of a group of indistinguishable effects."""
     later = {name for others in view.indistinguishable.values() for name in others}
+    later |= {f"{view.stage}.{effect}" for effect in view.corrects}
     return tuple(candidate(view, _alone(view, effect)) for effect in view.effects if effect.name not in later)
 
 

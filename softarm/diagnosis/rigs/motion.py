@@ -24,6 +24,8 @@ SMOOTHED = (5, 9, 17, 33, 65)
 NOISE_MORE = 1.3
 # Shares of the largest speed up to which an axis rests, and moves slowly.
 STILL, SLOW = 0.01, 0.15
+# Margin around samples that are left out, s.
+MARGIN_S = 0.05
 # Uncertainty of times, as a share of the time between two inputs; simulated rigs and joints showed 0.03.
 TIMED = 0.05
 
@@ -74,6 +76,11 @@ def motion(g: Grid, column: str, step: float, limit: float, *, speed_alone: bool
     unsure = noise * np.sqrt(12.0 / (width * (width**2 - 1))) / g.step_s
     spread = np.array([5 * noise + 0.1 * limit * span**2, 3 * unsure + 0.1 * limit * span])
     return Motion(g, seen, smooth, slope, curve, noise, spread)
+
+
+def widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
+    """Return samples that are left out, with a margin before and after each, [T]."""
+    return np.asarray(np.convolve(out, np.ones(2 * round(MARGIN_S / step_s) + 1), "same") > 0)
 
 
 def motions(

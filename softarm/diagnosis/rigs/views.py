@@ -71,6 +71,7 @@ class RigView:
         whole: effects of the whole mechanism; all stages that load the same part have them in one size.
         together: effects of the whole that a stage alone does not determine, so that its search has none of them.
         only_together: parameters of its other effects that it does not determine either: 'effect.parameter'.
+        corrects: effects that would only correct the law of a held effect: nuisances, but no candidates.
         held: parameters of effects of the whole mechanism that `hold` put into the nominal model, with their intervals.
         original: the same parameters in the model before.
         curved: tolerated parameters whose effect is far from linear: 'effect.parameter' -> evenly spaced values. The
@@ -92,6 +93,7 @@ class RigView:
     whole: frozenset[str] = frozenset()
     together: tuple[Effect, ...] = ()
     only_together: frozenset[str] = frozenset()
+    corrects: frozenset[str] = frozenset()
     curved: Mapping[str, Array] = {}
     laws: Sequence[Mapping[str, float]] = ()
     driven_by: frozenset[str] = frozenset()

@@ -45,12 +45,14 @@ from softarm.diagnosis.rigs.motion import (
     period,
     regimes,
     time_uncertainty,
+    widened,
     window_edges,
     window_lengths,
     within_windows,
 )
 from softarm.diagnosis.rigs.scales import SIGMAS, white_noise
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values
+from softarm.schemas.verdict import Interval
 
 # Growth of an error within a window of a joint that falls, such as an upright arm under torque commands.
 GROWN = 10.0
@@ -65,8 +67,6 @@ STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 UNSURE_MOST, UNSURE_WARNED = 0.5, 0.1
 # Samples without a contact or a limit that a joint needs.
 FREE_LEAST = 100
-# Margin to a joint's limit or a contact within which samples are left out, s.
-MARGIN_S = 0.05
 # Errors of a good nominal model: shares of its own values, lengths, the usual torque, and a command's step.
 OF_OWN, OF_LENGTH, OF_FORCE, HELD_LATE = 0.025, 0.01, 0.004, 0.5
 ZERO_RAD, ZERO_SHARE, LEVEL_RAD = 3e-3, 2e-3, 5e-3
@@ -169,6 +169,12 @@ class JointView(RigView):
             friction = self._frictions[bool(value)]
             self.effects = tuple(friction if effect.name == friction.name else effect for effect in self.effects)
 
+    def hold(self, effect: str, sizes: Mapping[str, Interval]) -> None:
+        """Put an effect into the nominal model; beside a payload or a heavier body, all masses together correct it."""
+        super().hold(effect, sizes)
+        if sizes and (effect == "payload" or effect.startswith(MASS)):
+            self.corrects = frozenset(("mass",))
+
     def measure_noise(self) -> None:
         """Measure the noise floor, and leave out samples that depend on motion of the other joints between samples.
 
@@ -220,7 +226,7 @@ class JointView(RigView):
     def _leave_out(self, large: NDArray[np.bool_]) -> None:
         """Leave out samples [M] with a margin, unless these are the majority."""
         trials = zip(slices(self.trial), self._motions, strict=True)
-        self._unsure |= np.concatenate([_widened(large[part], m.grid.step_s) for part, m in trials])
+        self._unsure |= np.concatenate([widened(large[part], m.grid.step_s) for part, m in trials])
         if self._unsure_share <= UNSURE_MOST:
             self.measured[self._unsure] = np.nan
             self._simulation.leave_out(self._unsure)
@@ -435,7 +441,7 @@ class JointView(RigView):
     @property
     def own_nuisances(self) -> Mapping[str, float]:
         """Errors of a good model that are no effect: name -> share of a body's mass; of an only body it is `mass`."""
-        return {effect.name: OF_OWN for effect in self.together} if len(self.together) > 1 else {}
+        return {effect.name: OF_OWN for effect in self.together} if len(self._joint.parts) > 1 else {}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return how the gap changes with each of these errors, [q, M, 1]."""
@@ -468,7 +474,7 @@ class JointView(RigView):
     def _out(self, k: int) -> NDArray[np.bool_]:
         """Return whether a trial's sample is near a joint limit or a contact, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
-        return _widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
+        return widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
 
     def _compared(self, k: int, out: NDArray[np.bool_]) -> Array:
         """Return a trial's measured values, [T]; NaN where samples are left out, and in short windows between these."""
@@ -483,11 +489,6 @@ def _columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
     """Return the columns of `measured` and of `base`."""
     measured, base = ([t.channels[name].columns for t in trials if name in t.channels] for name in ("measured", "base"))
     return set().union(*measured), set().union(*base)
-
-
-def _widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
-    """Return samples that are left out, with a margin before and after each, [T]."""
-    return np.asarray(np.convolve(out, np.ones(2 * round(MARGIN_S / step_s) + 1), "same") > 0)
 
 
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:
