@@ -78,15 +78,7 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     excess = any(energy > rest.most[stage] for stage, energy in left.items())
     share = _share(selected, left)
     whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
-    if not whole and not thresholds.approximate:  # the laws of a rig leave a rest next to true causes, too
-        # Next to a rest in its own stage, an effect may stand in for an unknown cause, which has no steady strength.
-        most = thresholds.cause.constant_max
-        doubtful = tuple(e for e in selected if e.strongest in unnamed and _varies(e, choice, most))
-    elif not whole:  # nor is the first the cause if it leaves a rest and may have the model's own value
-        doubtful = tuple(effect for effect in selected if effect.candidate.name in evidence.unresolved)
-    else:
-        doubtful = ()
-    if doubtful:
+    if not whole and (doubtful := _doubtful(selected, unnamed, choice, evidence, thresholds)):
         selected = tuple(effect for effect in selected if effect not in doubtful)
         left = _added(left, doubtful)
         share = _share(selected, left)
@@ -99,6 +91,20 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     complete = len(selected) == len(choice.selected)
     equals = tuple(fit.names for fit in choice.equal_sets) if complete else ()
     return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved, equals)
+
+
+def _doubtful(
+    selected: Sequence[SelectedEffect], unnamed: AbstractSet[str], choice: Choice, evidence: Evidence, t: Thresholds
+) -> tuple[SelectedEffect, ...]:
+    """Return the selected effects that may stand in for an unknown cause, which leaves a rest.
+
+    Such an effect has no steady strength next to a rest in its own stage. The laws of a rig leave a rest next to true
+    causes, too; there it is one whose interval contains the model's own value.
+    """
+    if t.approximate:
+        return tuple(effect for effect in selected if effect.candidate.name in evidence.unresolved)
+    most = t.cause.constant_max
+    return tuple(effect for effect in selected if effect.strongest in unnamed and _varies(effect, choice, most))
 
 
 def remainder(choice: Choice, evidence: Evidence, t: Thresholds) -> Remainder:

@@ -79,6 +79,16 @@ def common_law(losses: Sequence[Sequence[float]]) -> int | None:
     return chosen if chosen and middle[chosen] < 1 + SAME else None
 
 
+def chosen_law(losses: Sequence[float], stages: int = 1) -> int:
+    """Return the number of the law that leaves the smallest gap, or 0 if the usual one leaves about as much.
+
+    losses: energies by law, of the median of some stages.
+    """
+    same = SAME / math.sqrt(stages)
+    usual, least = (max(loss - 1.0, same) for loss in (losses[0], min(losses)))
+    return int(np.argmin(losses)) if least < MOST * usual else 0
+
+
 def is_other_law(losses: Sequence[float], law: int, *, has_cause: bool) -> bool:
     """Return whether a stage chose another law than the common one, which would change its answer.
 
@@ -109,16 +119,6 @@ def _losses(view: RigView, setup: Callable[[], Setup]) -> tuple[float, ...]:
         return min(alone, explained / MOST)
 
     return tuple(left(law) for law in view.laws)
-
-
-def chosen_law(losses: Sequence[float], stages: int = 1) -> int:
-    """Return the number of the law that leaves the smallest gap, or 0 if the usual one leaves about as much.
-
-    losses: energies by law, of the median of some stages.
-    """
-    same = SAME / math.sqrt(stages)
-    usual, least = (max(loss - 1.0, same) for loss in (losses[0], min(losses)))
-    return int(np.argmin(losses)) if least < MOST * usual else 0
 
 
 def _use(view: RigView, law: int) -> None:
