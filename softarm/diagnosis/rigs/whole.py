@@ -67,9 +67,8 @@ def judged(
 def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     """Return the effects of the whole to judge: effect and the part that has it -> the stages that it loads.
 
-    An effect is judged if a stage shows it. That of a body is also judged if a stage shows an effect that may be this
-    one, and a second stage does so or has a gap without a name. The mass of the last link differs from a payload by its
-    inertia, which only the joint that moves nothing else shows.
+    An effect is judged if a stage shows it, that of a body also if a stage shows an effect that may be this one. The
+    mass of the last link differs from a payload by its inertia, which only the joint that moves nothing else shows.
     """
     stages_of: dict[tuple[str, str], list[str]] = {}
     for stage in sorted(found):
@@ -78,7 +77,6 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
                 stages_of.setdefault((effect, part), []).append(stage)
     shown = {name for finding in found.values() for name in _names(finding)}
     heavier = {stage for stage in found if any(f"{stage}.{effect}" in shown for effect in OF_BODIES)}
-    doubtful = {stage for stage, finding in found.items() if finding.is_unexplained and not finding.named}
     last = {part.removeprefix("end ") for effect, part in stages_of if effect == "payload"}
 
     def is_open(effect: str, part: str, stages: Sequence[str]) -> bool:
@@ -87,7 +85,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
         if any(f"{s}.{effect}" in shown for s in stages):
             return True
         of_body = effect == "payload" or effect.startswith(MASS)
-        return of_body and len((heavier | doubtful).intersection(stages)) > 1 and not heavier.isdisjoint(stages)
+        return of_body and not heavier.isdisjoint(stages)
 
     return {
         (effect, part): stages

@@ -117,6 +117,15 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert 0 < size.low < 1.2 < size.high
 
 
+def test_a_heavier_body_is_no_payload_though_one_joint_alone_shows_it(tmp_path):
+    """The others have too little of it on their own: an arm's wrist, 79 % heavier, was a payload at its end."""
+    own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
+    found = judged(own, shown(own, hip=("payload", "mass"), knee=("damping",), ankle=("damping",)))
+    named = {held.effect for each in found for held in each.held.values() if held.named is not None}
+    assert named == {"mass_shank"}
+    assert any("payload alone would explain the gap, but" in each.text for each in found)
+
+
 def test_a_heavier_last_body_is_no_payload(tmp_path):
     """A point mass at the foot's centre lacks its inertia; beside it, the ankle had five wrong numbers."""
     own = by_joint(tmp_path, "leg", Truth({}, masses={"foot": 1.7}))
