@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.jackknife import RIDGE, covariance
+from softarm.diagnosis.engine.jackknife import covariance, ridge
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Array
 
@@ -61,7 +61,7 @@ class _Linear:
         both = np.concatenate((self.effects, free))
         normal, slope = self.normal[:, both][:, :, both], self.slope[:, both]
         total = normal.sum(axis=0)
-        total[range(len(both)), range(len(both))] += RIDGE * max(float(total.diagonal().max()), 1e-30)
+        total[range(len(both)), range(len(both))] += ridge(total)
         spread = covariance(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
         return np.asarray(np.sqrt(spread.diagonal()[len(self.effects) :]))
 

@@ -21,7 +21,7 @@ from softarm.diagnosis.engine.candidates import (
     split,
 )
 from softarm.diagnosis.engine.held_out import Block, BlockSums, fit_nuisances, simulated_losses
-from softarm.diagnosis.engine.jackknife import RIDGE, covariance
+from softarm.diagnosis.engine.jackknife import covariance, ridge
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
 
@@ -373,7 +373,7 @@ class FitProblem:
         reach = np.max(np.abs(self.nuisance_box(effects)), axis=0)
         kept = np.concatenate((np.ones(p, dtype=bool), reach > 0))
         held = normal[kept][:, kept] + np.diag(np.concatenate((np.zeros(p), left / reach[reach > 0] ** 2)))
-        held += RIDGE * held.diagonal().max() * np.eye(len(held))
+        held += ridge(held) * np.eye(len(held))
         return np.asarray(left * np.linalg.inv(held)[:p, :p])
 
     def _late(self) -> NDArray[np.bool_]:

@@ -9,8 +9,13 @@ from scipy.special import stdtrit
 
 from softarm.diagnosis.engine.view import Array
 
-# Share of the largest diagonal entry, and the least one: an invisible parameter gets no error, not an infinite one.
+# Share of the largest diagonal entry, and the least such entry.
 RIDGE, LEAST = 1e-10, 1e-30
+
+
+def ridge(normal: Array) -> float:
+    """Return what is added to the diagonal of a normal matrix: an invisible unknown gets no error, not infinity."""
+    return RIDGE * max(float(normal.diagonal().max()), LEAST)
 
 
 def covariance(normal: Array, slope: Array, solution: Array) -> Array:
@@ -27,6 +32,6 @@ def covariance(normal: Array, slope: Array, solution: Array) -> Array:
     if blocks < 2:
         return np.diag(np.full(len(solution), np.inf))
     total = normal.sum(axis=0)
-    without = total - normal + RIDGE * max(total.diagonal().max(), LEAST) * np.eye(len(total))
+    without = total - normal + ridge(total) * np.eye(len(total))
     moved = np.linalg.solve(without, (slope + normal @ solution)[:, :, None])[:, :, 0]
     return np.asarray(stdtrit(blocks - 1, 0.975) ** 2 * (blocks - 1) / blocks * (moved.T @ moved))

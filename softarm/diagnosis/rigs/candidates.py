@@ -38,10 +38,10 @@ class Falling(FittedParameter):
 
 
 def candidates(view: RigView) -> tuple[Candidate, ...]:
-    """Return every effect that the stage can have, and only the first of a group of indistinguishable effects."""
-    later = {name for others in view.indistinguishable.values() for name in others}
-    later |= {f"{view.stage}.{effect}" for effect in view.corrects}
-    return tuple(candidate(view, _alone(view, effect)) for effect in view.effects if effect.name not in later)
+    """Return every effect that the stage can have, of a group of indistinguishable effects only the first."""
+    without = {name for others in view.indistinguishable.values() for name in others}
+    without |= {f"{view.stage}.{effect}" for effect in view.corrects}
+    return tuple(candidate(view, _alone(view, effect)) for effect in view.effects if effect.name not in without)
 
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:

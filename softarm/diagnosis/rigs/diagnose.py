@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +23,10 @@ from softarm.schemas.verdict import Verdict, Where
 BEGUN, SEARCHED = 0.05, 0.9
 # Share of the time in which every stage is diagnosed on its own, if stages may share an effect of the whole mechanism.
 FIRST = 0.7
+# Share at which the stages are diagnosed that a simulation's law changes, if there are any.
+LAW = 0.85
+# Trials of a stage, effects that it holds, and the number of its law if all stages determined it.
+_Job = tuple[Sequence[Trial], Sequence[Held], int | None]
 
 
 def diagnose_table(
@@ -104,10 +108,10 @@ def _with_one_law(
         for stage, finding in found.items()
         if is_other_law(finding.losses, law, has_cause=finding.decision.kind != "none")
     ]
-    work = partial(examine, budget_s=budget_s, law=law)
-    for k, (_, finding) in enumerate(as_they_come(work, [own[stage] for stage in other], processes)):
+    jobs: list[_Job] = [(own[stage], (), law) for stage in other]
+    for share, finding in _again(jobs, budget_s, processes):
         found[finding.answer.stage] = finding
-        report(f"{finding.answer.stage}, as simulated", FIRST + 0.5 * (1 - FIRST) * k / len(other))
+        report(f"{finding.answer.stage}, as simulated", FIRST + (LAW - FIRST) * share)
 
 
 def _joint(
@@ -122,17 +126,23 @@ def _joint(
     for judgement in judgements:
         for stage, each in judgement.held.items():
             held.setdefault(stage, []).append(each)
-    jobs = [(own[stage], each, found[stage].law) for stage, each in held.items()]
-    for k, (_, finding) in enumerate(as_they_come(partial(_again, budget_s=budget_s), jobs, processes)):
+    begun = LAW if any(finding.law is not None for finding in found.values()) else FIRST
+    jobs: list[_Job] = [(own[stage], each, found[stage].law) for stage, each in held.items()]
+    for share, finding in _again(jobs, budget_s, processes):
         stage = finding.answer.stage
         found[stage] = replace(finding, vocabulary=found[stage].vocabulary)
-        report(f"{stage}, with all joints", FIRST + (1 - FIRST) * k / len(held))
+        report(f"{stage}, with all joints", begun + (1 - begun) * share)
     return [judgement.text for judgement in judgements]
 
 
-def _again(stage: tuple[Sequence[Trial], Sequence[Held], int | None], budget_s: float) -> Finding:
-    """Diagnose a stage with effects, and the law, that all stages determined together."""
-    trials, held, law = stage
+def _again(jobs: Sequence[_Job], budget_s: float, processes: int) -> Iterator[tuple[float, Finding]]:
+    """Yield each stage's finding with what all stages determined together, and the share of the stages before it."""
+    done = as_they_come(partial(_examined, budget_s=budget_s), jobs, processes)
+    return ((k / len(jobs), finding) for k, (_, finding) in enumerate(done))
+
+
+def _examined(job: _Job, budget_s: float) -> Finding:
+    trials, held, law = job
     return examine(trials, held, budget_s, law=law)
 
 

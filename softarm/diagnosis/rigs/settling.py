@@ -51,14 +51,13 @@ def settled(
             if min(beside) < MOST * min(alone):
                 best = values[int(np.argmin(beside))]
             view.assume(path, best)
-    if len(view.laws) < 2:
-        return setup(), ()
-    if law is None:
-        losses = _losses(view, setup)
-        _use(view, chosen_law(losses))
-        return setup(), losses
-    _use(view, min(law, len(view.laws) - 1))
-    return setup(), ()
+    losses: tuple[float, ...] = ()
+    if len(view.laws) > 1:
+        if law is None:
+            losses = _losses(view, setup)
+            law = chosen_law(losses)
+        _use(view, min(law, len(view.laws) - 1))
+    return setup(), losses
 
 
 def common_law(losses: Sequence[Sequence[float]]) -> int | None:
@@ -110,7 +109,7 @@ def _losses(view: RigView, setup: Callable[[], Setup]) -> tuple[float, ...]:
     samples = int(np.isfinite(view.measured).sum())
 
     def left(law: Mapping[str, float]) -> float:
-        _assume(view, law)
+        view.assume_all(law)
         problem = setup().plain()
         alone, explained = (
             min(fit.loss for fit in problem.fit(sets, SETTLING_ROUNDS)) / samples
@@ -123,14 +122,9 @@ def _losses(view: RigView, setup: Callable[[], Setup]) -> tuple[float, ...]:
 
 def _use(view: RigView, law: int) -> None:
     """Assume a law of a view, by its number, and measure the noise next to an unusual one."""
-    _assume(view, view.laws[law])
+    view.assume_all(view.laws[law])
     if law:
         view.measure_noise()
-
-
-def _assume(view: RigView, law: Mapping[str, float]) -> None:
-    for path, value in law.items():
-        view.assume(path, value)
 
 
 def _owns(candidate: Candidate, path: str) -> bool:

@@ -200,13 +200,17 @@ class RigView:
         """Set 'effect.parameter' of the nominal model."""
         self._known[path] = value
 
+    def assume_all(self, values: Mapping[str, float]) -> None:
+        """Set values of the nominal model: 'effect.parameter' -> value."""
+        for path, value in values.items():
+            self.assume(path, value)
+
     def measure_noise(self) -> None:
         """Measure noise floor and usable samples again, next to another law of the nominal model."""
 
     def adopt(self, assumed: Mapping[str, float]) -> None:
         """Assume the settled values of another view of the stage, and measure the noise next to these."""
-        for path, value in assumed.items():
-            self.assume(path, value)
+        self.assume_all(assumed)
         self.measure_noise()
 
     @property

@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.rigs.candidates import candidate, candidates, nuisances, starts
-from softarm.diagnosis.rigs.mjcf.effects import MASS
+from softarm.diagnosis.rigs.mjcf.effects import MASS, adds_mass
 from softarm.diagnosis.rigs.stage import RESTARTS_BOUND, Finding, Held, estimates, part_of, squares_of, view_of
 from softarm.diagnosis.rigs.subsample import PLANNED, Stretches, together
 from softarm.diagnosis.rigs.views import RigView
@@ -84,8 +84,7 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
             return any(f"{s}.mass" in shown for s in stages if _bodies(found[s]) == [effect])
         if any(f"{s}.{effect}" in shown for s in stages):
             return True
-        of_body = effect == "payload" or effect.startswith(MASS)
-        return of_body and not heavier.isdisjoint(stages)
+        return adds_mass(effect) and not heavier.isdisjoint(stages)
 
     return {
         (effect, part): stages

@@ -91,7 +91,9 @@ def test_an_effect_beside_the_steps_of_a_simulation_has_its_own_size(tmp_path):
     trials = tables.read(write(tmp_path))
     alone = examine([trial for trial in trials if trial.stage.name == "j1"])
     assert not any("own step" in text for text in alone.warnings)  # the effect stands in for the steps
-    verdict = diagnose_table(trials).verdict
+    shares: list[float] = []
+    verdict = diagnose_table(trials, lambda text, share: shares.append(share)).verdict
+    assert shares == sorted(shares)
     assert any("own step" in text for text in verdict.warnings if text.startswith("j1"))
     (effect,) = verdict.effects
     assert effect.name == "j1.damping"

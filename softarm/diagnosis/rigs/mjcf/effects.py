@@ -109,6 +109,11 @@ def joint_effects(stage: str, scales: JointScales) -> tuple[Effect, ...]:
     return of_stage(stage, [*drive, *_friction(scales), *_bodies(scales), *_sensor(scales)], _RIVALS)
 
 
+def adds_mass(effect: str) -> bool:
+    """Return whether an effect of the whole mechanism is a payload or another mass of one body."""
+    return effect == "payload" or effect.startswith(MASS)
+
+
 def part_effects(stage: str, parts: Iterable[str]) -> tuple[Effect, ...]:
     """Return the error of the mass of each part that a joint moves, by the part's first body."""
     return of_stage(stage, map(_heavier, parts), ())

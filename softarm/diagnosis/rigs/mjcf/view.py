@@ -26,7 +26,7 @@ from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
-from softarm.diagnosis.rigs.mjcf.effects import MASS, JointScales, joint_effects, part_effects
+from softarm.diagnosis.rigs.mjcf.effects import MASS, JointScales, adds_mass, joint_effects, part_effects
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
@@ -172,7 +172,7 @@ class JointView(RigView):
     def hold(self, effect: str, sizes: Mapping[str, Interval]) -> None:
         """Put an effect into the nominal model; beside a payload or a heavier body, all masses together correct it."""
         super().hold(effect, sizes)
-        if sizes and (effect == "payload" or effect.startswith(MASS)):
+        if sizes and adds_mass(effect):
             self.corrects = frozenset(("mass",))
 
     def measure_noise(self) -> None:
