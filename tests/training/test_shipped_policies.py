@@ -50,6 +50,7 @@ def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, lea
     assert reached_in_range(shipped(name), PRESETS[name]) >= least
 
 
+@pytest.mark.prove
 def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():
     model = Model()
     rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}

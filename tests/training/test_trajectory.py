@@ -146,7 +146,7 @@ def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
     assert 0.1 < found.closest_m[2] < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_longer_rail_brings_a_missed_target_into_reach(monkeypatch):
     """(0, 0.75) needs about 0.33 m of rail on each side."""
     for name, value in {"ROUNDS": 6, "POPULATION": 48, "ELITES": 6}.items():

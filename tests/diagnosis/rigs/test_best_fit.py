@@ -27,7 +27,7 @@ def test_a_joint_that_nothing_holds_keeps_its_windows(tmp_path):
 
 
 # Over 3 s: a search over all effects, which finds none that is steady.
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_gap_without_a_steady_cause_has_a_best_fit(tmp_path):
     """The friction of one recording is nearly twice that of the other."""
     for k, friction in enumerate((0.2, 0.35)):

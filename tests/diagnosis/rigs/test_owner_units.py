@@ -25,7 +25,7 @@ def rig(folder):
     return folder / "servo.yaml"
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_servo_in_degrees_is_diagnosed_in_degrees(tmp_path):
     deg = diagnose_files([rig(tmp_path)])
     assert deg.verdict.verdict == "named"

@@ -93,6 +93,7 @@ def test_joints_that_a_payload_loads_have_it_in_one_size_without_rivals(payload)
     assert tilt.named.shrink.stage.value > 0.7
 
 
+@pytest.mark.prove
 def test_a_payload_beside_the_line_of_its_link_has_its_mass_and_place(tmp_path):
     """On the line through the last joint and the centre of mass, it would be a third heavier."""
     item, place = 0.3, np.array([0.05, 0.09, -0.06])
@@ -117,6 +118,7 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert 0 < size.low < 1.2 < size.high
 
 
+@pytest.mark.prove
 def test_a_heavier_body_is_no_payload_though_one_joint_alone_shows_it(tmp_path):
     """The others have too little of it on their own: an arm's wrist, 79 % heavier, was a payload at its end."""
     own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
@@ -126,6 +128,7 @@ def test_a_heavier_body_is_no_payload_though_one_joint_alone_shows_it(tmp_path):
     assert any("payload alone would explain the gap, but" in each.text for each in found)
 
 
+@pytest.mark.prove
 def test_a_heavier_last_body_is_no_payload(tmp_path):
     """A point mass at the foot's centre lacks its inertia; beside it, the ankle had five wrong numbers."""
     own = by_joint(tmp_path, "leg", Truth({}, masses={"foot": 1.7}))
@@ -136,6 +139,7 @@ def test_a_heavier_last_body_is_no_payload(tmp_path):
         assert held.named.parameters["scale"].low < 0.7 < held.named.parameters["scale"].high
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("fitted", [FEW, FEW + 1])
 def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_found(tmp_path, fitted):
     own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
@@ -145,17 +149,19 @@ def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_fou
     assert len(judged(own, found)) == (1 if fitted == FEW else 0)
 
 
+@pytest.mark.prove
 def test_a_mass_that_one_joint_alone_shows_is_no_body(tmp_path):
     own = by_joint(tmp_path, "leg", Truth({}), seconds=2.0)
     assert judged(own, shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))) == []
 
 
+@pytest.mark.prove
 def test_an_item_on_the_palm_does_not_load_the_fingers(tmp_path):
     own = by_joint(tmp_path, "gripper", Truth({}), seconds=2.0, item=("palm", [0.0, 0.0, -0.1], 0.2))
     assert judged(own, shown(own, wrist=("payload",), left=("damping",))) == []
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_light_joint_does_not_hold_a_large_payload_near_zero(loaded, monkeypatch):
     """A usual payload of a wrist is a hundredth of an arm's."""
     own = whole.candidate
@@ -172,7 +178,7 @@ def test_a_light_joint_does_not_hold_a_large_payload_near_zero(loaded, monkeypat
     assert found.held["pan"].named.parameters["mass"].value == pytest.approx(kg_of(LOAD), rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_small_budget_decides_on_the_same_stretches_of_all_joints(loaded, monkeypatch):
     used = []
     monkeypatch.setattr(whole, "together", lambda *given: used.append(together(*given)) or used[-1])
@@ -215,7 +221,7 @@ def test_a_tilted_base_that_two_planar_joints_show_is_one(tmp_path):
     assert tilt.low <= 0.04 <= tilt.high
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_torque_on_one_joint_is_no_tilted_base_if_the_other_joint_hangs_straight(tmp_path):
     own = by_joint(tmp_path, "cartpole", Truth({"rail": JointLaw(torque=1.5)}))
     (found,) = judged(own, shown(own, rail=("torque_offset", "tilt"), hinge=("damping",)))

@@ -118,6 +118,7 @@ def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smalles
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 0.6 * left
 
 
+@pytest.mark.prove
 def test_the_friction_bends_over_the_same_travel_beside_a_fault(tmp_path):
     """Without the spring, another travel leaves the smallest gap, and friction would be named next to the spring."""
     stage = mechanism(tmp_path, "cartpole", Truth({"rail": JointLaw(spring=2.0)}))
@@ -198,6 +199,7 @@ def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tmp_path):
         assert effect.parameters[axis].low <= angle <= effect.parameters[axis].high
 
 
+@pytest.mark.prove
 def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path):
     trials = tables.read(mechanism(tmp_path, "leg", Truth({}), seconds=2.0))
     for joint in ("hip", "knee", "ankle"):
@@ -405,6 +407,7 @@ def test_steps_of_another_joint_between_samples_are_left_out_beside_its_noise(tm
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < view.floor[0]
 
 
+@pytest.mark.prove
 def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
     """Friction that holds passes other noise on than friction that yields to each peak of the load."""
     view, used = view_of(hand(tmp_path, dry=0.1))
@@ -414,6 +417,7 @@ def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
     assert 0.7 * left < view.floor[0] < 1.1 * left
 
 
+@pytest.mark.prove
 def test_a_light_joint_may_carry_ten_times_its_own_mass(tmp_path):
     """The hand of 0.1 kg swings with so little torque that a payload of 50 g would double it."""
     load = '<body pos="0 0 -0.08"><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body>'
@@ -442,6 +446,7 @@ MOTOR = """<mujoco>
 </mujoco>"""
 
 
+@pytest.mark.prove
 def test_friction_that_takes_most_of_a_motors_torque_is_named(tmp_path):
     """The model has 0.01 N m, so its motion needs a small part of the torque that was given."""
     (tmp_path / "servo.xml").write_text(MOTOR.format(dry=0.01))

@@ -116,7 +116,12 @@ def servo(folder, sizes, dry):
 
 
 @pytest.mark.parametrize(
-    ("sizes", "dry"), [(FINGER, 0.0), (FINGER, 0.1), pytest.param(KNEE, 3.0, marks=pytest.mark.prove)]
+    ("sizes", "dry"),
+    [
+        (FINGER, 0.0),
+        pytest.param(FINGER, 0.1, marks=pytest.mark.prove),
+        pytest.param(KNEE, 3.0, marks=pytest.mark.prove),
+    ],
 )
 def test_a_simulated_position_loop_has_its_friction_and_nothing_else(tmp_path, sizes, dry):
     found = examine(servo(tmp_path, sizes, dry))
