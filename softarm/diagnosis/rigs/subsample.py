@@ -28,6 +28,8 @@ PLANNED = 0.75
 LEAST_BLOCKS = 0.5
 # Stretches of each kind of excitation that are used at least.
 KIND_LEAST = 2
+# Share of the information in the poorer half of the recordings from which stretches of both halves are kept.
+HALF_LEAST = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +98,8 @@ def together(
         numbers = [_pieces_of_samples(view, part) for view, part in zip(views, parts, strict=True)]
         found = [each.cut_into(part) for each, part in zip(stretches, parts, strict=True)]
     sizes = np.bincount(numbers[0], minlength=len(found[0].trials)).astype(float)
-    known = [information(view, candidates(view), number) for view, number in zip(views, numbers, strict=True)]
-    kept = most_informative(np.hstack(known), sizes, [t.kind for t in found[0].trials], share)
+    known = np.hstack([information(view, candidates(view), each) for view, each in zip(views, numbers, strict=True)])
+    kept = most_informative(_by_half(known, found[0]), sizes, [t.kind for t in found[0].trials], share)
     return [each.part(kept) for each in found], len(sizes), float(sizes[kept].sum() / sizes.sum())
 
 
@@ -130,6 +132,19 @@ def _pieces_of_samples(view: RigView, parts: Sequence[Sequence[Trial]]) -> NDArr
         found[span] = first + np.searchsorted(later, view.t_s[span], side="right")
         first += len(mine)
     return found
+
+
+def _by_half(found: Array, stretches: Stretches) -> Array:
+    """Return information [W, p], or that of each half of the recordings [W, 2 p] where both hold a good share.
+
+    A slow change, such as a motor that tires, shows only in stretches of both halves.
+    """
+    origins = np.array(stretches.origins)
+    middles = np.array([trial.channels["measured"].t_s[[0, -1]].mean() for trial in stretches.trials])
+    late = middles > [middles[origins == origin].mean() + 1e-9 for origin in stretches.origins]
+    halves = found * ~late[:, None], found * late[:, None]
+    least = np.minimum(*(half.sum(axis=0) for half in halves)) / np.maximum(found.sum(axis=0), 1e-12)
+    return np.hstack(halves) if np.median(least) > HALF_LEAST else found
 
 
 def information(view: RigView, known: Sequence[Candidate], number: NDArray[np.int64]) -> Array:

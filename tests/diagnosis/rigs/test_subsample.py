@@ -72,6 +72,18 @@ def test_a_budget_keeps_the_stretches_that_move():
     assert setup.held_out == "kind"
 
 
+def test_stretches_lie_in_both_halves_of_the_recordings_so_that_slow_changes_show():
+    random = np.random.default_rng(2)
+    found = []
+    for i in range(3):
+        command = np.where(T < 20, 1.0, 0.8) * tone(4 * T, i)  # the first half shows more of every effect
+        seen = np.concatenate((command[:1], command[:-1])) + 1e-3 * random.normal(size=len(T))
+        found.append(servo(command, seen, T, "multisine", f"multisine {i}"))
+    kept, _ = reduced(found, 0.4)
+    late = [part.channels["measured"].t_s.mean() > 20 for part in kept.trials]
+    assert 0 < sum(late) < len(late)
+
+
 def test_a_small_budget_takes_shorter_stretches_of_every_kind():
     used, note = reduced(recordings(), 0.15)
     samples = sum(len(trial.channels["measured"].t_s) for trial in used.trials)
