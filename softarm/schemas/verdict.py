@@ -149,6 +149,7 @@ class Verdict(Strict):
     equal_sets: tuple[tuple[str, ...], ...] = ()
     calibration: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
     best_fit: dict[str, BestFit] = Field(default_factory=dict)  # by stage
+    creeping: tuple[str, ...] = ()  # stages whose dry friction creeps as in a simulation, where real friction holds
     gap: Gap
     task: Task | None = None
     next_experiment: NextExperiment | None = None

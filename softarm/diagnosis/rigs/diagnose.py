@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
+from softarm.diagnosis.rigs.mjcf.simulation import CREEP
 from softarm.diagnosis.rigs.settling import common_law, is_other_law
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine
 from softarm.diagnosis.rigs.tracking import velocity_warnings
@@ -178,6 +179,7 @@ def _verdict(stages: Sequence[Finding], answers: Sequence[StageAnswer], warnings
         effects=tuple(effect for s in stages for effect in s.named),
         calibration=tuple(each for s in stages for each in s.calibration),
         best_fit={s.answer.stage: s.best_fit for s in stages if s.best_fit is not None},
+        creeping=tuple(s.answer.stage for s in stages if s.assumed.get(CREEP)),
         gap=gap_of(answers),
         next_experiment=next((s.following for s in gaps if s.following is not None), None),
         warnings=merged(warnings, [answer.stage for answer in answers]),

@@ -23,6 +23,9 @@ _JOINT = {
     "armature.inertia": "armature",
     "spring.stiffness": "stiffness",
 }
+# Laws of dry friction, and the impedance with which MuJoCo's friction holds a joint; by default it creeps under a load.
+_FRICTION = "coulomb_friction", "stiction", "load_friction"
+_HOLDS = "0.9999 0.9999"
 _ACTUATORS = ("position", "velocity", "motor", "general", "intvelocity", "damper", "cylinder", "muscle", "adhesion")
 _DIGITS = 6
 _POINT_KG_M2 = "1e-9"  # inertia of a point mass: MuJoCo refuses zero
@@ -75,6 +78,9 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
             tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
+    rubbing = {place.partition(".")[0] for place in found if place.split(".")[1] in _FRICTION}
+    for name in sorted(rubbing.difference(verdict.creeping)):
+        edits.set(("joint",), name, "solimpfriction", _HOLDS)
     for body, values in shares.items():  # several joints weigh the same body
         edits.change_mass(body, factor=1 + float(np.mean(values)))
     for body, loads in payloads.items():

@@ -37,6 +37,23 @@ def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(t
     assert model.actuator("elbow_servo").forcerange.tolist() == [-2.5, 2.5]
 
 
+@pytest.mark.parametrize(("creeping", "moved_rad"), [((), 2e-4), (("elbow",), 0.02)])
+def test_friction_holds_a_weight_unless_the_recordings_show_that_it_creeps(tmp_path, creeping, moved_rad):
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        """<mujoco><worldbody><body><joint name="elbow" axis="0 1 0" ref="90"/>
+        <inertial pos="0.2 0 0" mass="0.5" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody></mujoco>"""
+    )
+    weighs = 0.5 * 9.81 * 0.2
+    found = verdict([("elbow.coulomb_friction.torque", 1.5 * weighs, "N m")]).model_copy(update={"creeping": creeping})
+    model = read(patch.patched(file, found, calibration=True), tmp_path)
+    data = mujoco.MjData(model)
+    start = float(data.qpos[0])
+    mujoco.mj_step(model, data, nstep=1000)
+    moved = abs(float(data.qpos[0]) - start)
+    assert moved > moved_rad if creeping else moved < moved_rad
+
+
 def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path):
     file = tmp_path / "geared.xml"
     servo = '<position name="elbow_servo" joint="elbow"'
