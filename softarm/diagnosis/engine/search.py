@@ -3,7 +3,7 @@
 Every comparison is between nested fits with the same nuisances, on held-out blocks.
 """
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -24,7 +24,6 @@ SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
 SHARED_MIN = 0.1  # energy that two effects remove from a stage, at most, if they may replace each other there
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
-NEAR = 3.0  # ratio of held-out losses within which the smaller set is the better model
 PURSUED, PURSUED_GAIN = 6, 0.05  # effects of a start that is far from nominal, and the least gain of each
 POLISH, SETTLED = 4, 0.005  # further descents of a backward search, and the relative gain that ends them
 
@@ -300,19 +299,6 @@ class Search:
     def fitted(self) -> list[Fit]:
         """Return every set that was fitted."""
         return [f for fits in (*self._extended.values(), *self._reduced.values()) for f in fits]
-
-    def predicting(self, chosen: Fit, without: Collection[str] = ()) -> Fit | None:
-        """Return the fit with the fewest effects that predicts about as well as the best one, of all that were made.
-
-        A chosen set may lack effects that are necessary together, and the largest sets predict new motion badly. Fits
-        with an effect whose law is in `without` do not count; the result is None if no other is left.
-        """
-        fits = [f for f in (chosen, *self.fitted) if not {name.rpartition(".")[2] for name in f.names} & {*without}]
-        if not fits:
-            return None
-        most = NEAR * min(float(f.held_out.sum()) for f in fits)
-        near = [f for f in fits if f.held_out.sum() <= most]
-        return min(near, key=lambda f: (len(f.effects), self.loss(f), f.names))
 
     def reduced(self, fit: Fit) -> list[Fit]:
         """Fit a set without each of its effects."""

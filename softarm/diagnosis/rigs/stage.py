@@ -178,13 +178,15 @@ def examine(
     found = Examination(setup, candidates(view), thresholds, report, partial(widened, view), view.original)
     known = [each.named for each in held if each.named is not None]
     fitted: FittedChoice = found
+    sized = used
     if reduced is not None:
-        used = subsample.for_sizes(budget_s, whole, windows, found.choice.chosen.effects)
-        if used is not windows:
-            whole = holding(part_of(used))
-        whole.adopt(view.assumed)
-        fitted = found.on(setup_of(whole, used.kinds, used.origins))
-    finding = _Stage(found, fitted, used.trials, known).finding()
+        sized = subsample.for_sizes(budget_s, whole, windows, found.choice.chosen.effects)
+        larger = whole if sized is windows else holding(part_of(sized))
+        larger.adopt(view.assumed)
+        fitted = found.on(setup_of(larger, sized.kinds, sized.origins))
+    affordable = len(found.search.fitted) * whole.rollout_s <= budget_s
+    data = (whole, windows) if affordable else (view, used)
+    finding = _Stage(found, fitted, sized.trials, known, data).finding()
     return replace(finding, warnings=(*notes, *finding.warnings), law=law, losses=losses)
 
 
@@ -231,7 +233,12 @@ class _Stage:
     """Assembly of a stage's finding from the examination of its view."""
 
     def __init__(
-        self, found: Examination, fitted: FittedChoice, trials: Sequence[Trial], known: Sequence[NamedEffect]
+        self,
+        found: Examination,
+        fitted: FittedChoice,
+        trials: Sequence[Trial],
+        known: Sequence[NamedEffect],
+        data: tuple[RigView, Stretches],
     ) -> None:
         """Prepare the figures of a stage.
 
@@ -240,9 +247,10 @@ class _Stage:
             fitted: its choice on the data of the figures.
             trials: trials of these data.
             known: named effects that the view holds.
+            data: view of the recordings that a best fit predicts, and its windows.
         """
         (self.view,) = cast("tuple[RigView]", fitted.setup.views)
-        self.found, self.fitted, self.trials, self.known = found, fitted, trials, known
+        self.found, self.fitted, self.trials, self.known, self.data = found, fitted, trials, known, data
         self.choice, self.decision = found.choice, found.decide(None, fitted.unresolved, bool(known))
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
@@ -284,11 +292,15 @@ class _Stage:
         return self._units.get(path, PURE)
 
     def _best_fit(self) -> BestFit | None:
-        """Return the effects that predict best if the named ones, which leave a gap, predict less or change others."""
+        """Return the effects that predict whole recordings best, if the named ones leave a gap and predict less."""
         if self.decision.kind not in ("incomplete", "unknown"):
             return None
-        best = self.found.search.predicting(self.choice.chosen, self.view.shared)
-        return None if best is None else best_fit(self.fitted.setup, self.fit, best, self._unit)
+        view, recordings = self.data
+        if view is not self.view:
+            view.adopt(self.view.assumed)
+        fits = self.choice.chosen, *self.found.search.fitted
+        usual = {**self.fit.point, **self.calibrated.values}
+        return best_fit(view, recordings, fits, self.fit, usual, self._unit)
 
     def _answer(self) -> StageAnswer:
         view, found, fitted, fit = self.view, self.found, self.fitted, self.fit

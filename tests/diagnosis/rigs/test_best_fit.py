@@ -1,8 +1,12 @@
 """The effects that predict whole recordings of a stage best, named or not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from softarm.diagnosis.rigs.best_fit import best_fit
+from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.stage import examine, view_of
 from tests.diagnosis.rigs.mjcf.test_model_attributes import ROBOT, changed, elbows, record
 
@@ -16,6 +20,22 @@ def test_whole_recordings_show_an_error_that_windows_hide(tmp_path):
     view, _ = view_of(elbows(tmp_path, weak.replace('frictionloss="0.05"', 'frictionloss="0.15"')))
     windows, whole = (np.sqrt(np.nanmean(each.gap([{}]) ** 2)) for each in (view, view.uninterrupted()))
     assert whole > 1.4 * windows
+
+
+@pytest.mark.slow
+def test_the_best_fit_predicts_whole_recordings_and_not_windows(tmp_path):
+    """Damping moves a joint between its windows' starts about as friction does, and lets it drift in the long run."""
+    weak = changed(LOOP, 'kp="2" kv="0.05" forcerange="-8 8"')
+    record(weak.replace('frictionloss="0.05"', 'frictionloss="0.15"'), tmp_path / "motion.csv", seconds=5)
+    view, windows = view_of(elbows(tmp_path, weak))
+    known = {each.name.partition(".")[2]: each for each in candidates(view)}
+    sets = [(known["coulomb_friction"],), (known["damping"],), ()]
+    begun = [(effects, tuple(each.starts[0] for each in effects)) for effects in sets]
+    friction, damping, none = setup_of(view, windows.kinds, windows.origins).plain().fit(begun)
+    better_in_windows = replace(damping, held_out=friction.held_out / 10)
+    found = best_fit(view, windows, [better_in_windows, friction], none, {}, lambda path: "")
+    assert "elbow.coulomb_friction.torque" in found.parameters
+    assert found.after.value < 0.3 * found.before.value
 
 
 def test_a_joint_that_nothing_holds_keeps_its_windows(tmp_path):
