@@ -1,10 +1,14 @@
-"""Patch of an MJCF file: findings of a diagnosis as changed attributes, with all other text as it was."""
+"""Patch of an MJCF file: findings of a diagnosis as changed attributes, with all other text as it was.
+
+A URDF has no place for most findings; its patch is the MJCF that MuJoCo makes of it.
+"""
 
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
@@ -44,7 +48,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     """Return an MJCF file with the findings of its diagnosis, or None if there are none.
 
     Args:
-        path: MJCF file.
+        path: MJCF or URDF file.
         verdict: its verdict.
         calibration: whether calibrated parameters are written as well.
         best_fit: whether joints with a best fit get that instead.
@@ -52,7 +56,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     found = {place: standard(*of) for place, of in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
-    before = path.read_text()
+    before = _mjcf(path)
     stages = {*verdict.where.share, *(place.partition(".")[0] for place in found)}
     model, edits, left_out = mechanism(path, stages), _Edits(before), []
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
@@ -88,14 +92,23 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         if not edits.add_point_mass(body, float(mass), at):
             left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
     if tilts:
-        gravity = " ".join(map(_short, _tilted(model, tilts)))
-        if not edits.set_option("gravity", gravity):
-            left_out.append(f"gravity of {gravity} m/s^2")
+        edits.set_option("gravity", " ".join(map(_short, _tilted(model, tilts))))
     after = edits.text
     lines = difflib.unified_diff(
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
     )
     return MjcfPatch(after, "".join(lines), tuple(left_out))
+
+
+def _mjcf(path: Path) -> str:
+    """Return the text of an MJCF file, or of a URDF as MuJoCo writes it."""
+    if ElementTree.parse(path).getroot().tag != "robot":
+        return path.read_text()
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compile()
+    return str(spec.to_xml())
 
 
 def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:
@@ -153,15 +166,12 @@ class _Edits:
         self.text = self.text[:start] + tag + self.text[end:]
         return True
 
-    def set_option(self, attribute: str, value: str) -> bool:
-        """Set an attribute of the model's `option`, in a new element if there is none; return False for a URDF."""
-        if self.set(("option",), "", attribute, value):
-            return True
-        place = self._place(("mujoco",), "", inside=True)
-        if place is None:
-            return False
-        self.text = f'{self.text[: place[1]]}\n  <option {attribute}="{value}"/>{self.text[place[1] :]}'
-        return True
+    def set_option(self, attribute: str, value: str) -> None:
+        """Set an attribute of the model's `option`, in a new element if there is none."""
+        if not self.set(("option",), "", attribute, value):
+            place = self._place(("mujoco",), "", inside=True)
+            assert place is not None
+            self.text = f'{self.text[: place[1]]}\n  <option {attribute}="{value}"/>{self.text[place[1] :]}'
 
     def change_mass(self, body: str, factor: float) -> None:
         """Multiply mass and inertia of a body that has an `inertial` element."""

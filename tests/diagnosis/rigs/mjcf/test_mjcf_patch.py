@@ -103,17 +103,28 @@ def test_the_tilt_that_several_joints_feel_turns_gravity_once(tmp_path, option):
     assert (x, y) == pytest.approx((-0.02 * 9.81, -0.05 * 9.81), rel=3e-3)
 
 
-def test_a_tilt_is_stated_if_the_file_cannot_hold_it(tmp_path):
+def test_the_patch_of_a_urdf_is_an_mjcf_with_the_findings(tmp_path):
     file = tmp_path / "arm.urdf"
     link = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-    joint = '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/><limit effort="1" velocity="1"/>'
+    joint = '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/><dynamics damping="0.1" friction="0.2"/>'
     file.write_text(
         f'<robot name="r"><link name="a">{link}</link><link name="b">{link}</link>'
-        f'<joint name="j" type="revolute">{joint}</joint></robot>'
+        f'<joint name="j" type="continuous">{joint}</joint></robot>'
     )
-    found = patch.patched(file, verdict([("j.tilt.y", 0.05, "rad")]), calibration=True)
-    assert found.text == file.read_text()
-    assert found.left_out == ("gravity of 0.489888 0 -9.79776 m/s^2",)
+    changes = [
+        ("j.coulomb_friction.torque", 0.3, "N m"),
+        ("j.damping.viscous", 0.4, "N m s/rad"),
+        ("j.payload.mass", 0.5, "kg"),
+        ("j.payload.distance", 0.1, "m"),
+        ("j.tilt.y", 0.05, "rad"),
+    ]
+    found = patch.patched(file, verdict(changes), calibration=True)
+    model = read(found, tmp_path)
+    assert not found.left_out
+    assert (model.dof_frictionloss[0], np.ravel(model.dof_damping)[0]) == pytest.approx((0.3, 0.4))
+    assert model.body_mass.sum() == pytest.approx(1.5)
+    assert model.opt.gravity == pytest.approx([0.489888, 0, -9.79776])
+    assert found.diff.count("\n+") == 4  # header, option, joint, body
 
 
 def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
