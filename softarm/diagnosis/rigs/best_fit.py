@@ -7,14 +7,11 @@ recordings: of all sets that the search has fitted, the one that predicts the re
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
-from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import rms
-from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.candidates import setup_of
 from softarm.diagnosis.rigs.subsample import Stretches
@@ -28,22 +25,6 @@ FAR, NEAR = 2.0, 1.1
 
 # Returns the unit of a parameter by its path.
 Unit = Callable[[str], str]
-
-
-def stage_calibration(setup: Setup, problem: FitProblem, plain: FitProblem, fit: Fit, unit: Unit) -> Calibrated:
-    """Return the calibration next to the effects of a fit; a held effect keeps the size that all stages found.
-
-    Args:
-        setup: problem of one view.
-        problem: the same with weights.
-        plain: the same in units of the noise floors.
-        fit: effects.
-        unit: returns the unit of a parameter by its path.
-    """
-    (view,) = cast("tuple[RigView]", setup.views)
-    free = np.array([path not in view.held for path in problem.nuisance_paths])
-    problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
-    return calibrated(setup, problem, plain, fit, unit)
 
 
 def best_fit(

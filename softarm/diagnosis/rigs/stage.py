@@ -11,6 +11,7 @@ import numpy as np
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import StageAnswer, share
+from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
@@ -26,7 +27,7 @@ from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.rigs import experiments, subsample
-from softarm.diagnosis.rigs.best_fit import best_fit, stage_calibration
+from softarm.diagnosis.rigs.best_fit import best_fit
 from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
@@ -257,7 +258,7 @@ class _Stage:
             self.decision = replace(self.decision, kind=kind, noise=False)
         self.fit = fitted.named(self.decision)
         self._units = {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
-        self.calibrated = stage_calibration(fitted.setup, fitted.verdict_problem, fitted.plain, self.fit, self._unit)
+        self.calibrated = self._calibrated()
         self.best_fit = self._best_fit()
         self.nominal: Array = self.view.gap([self.view.original])[0].astype(float)
         self.without = fitted.without_each(self.fit)
@@ -290,6 +291,13 @@ class _Stage:
 
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)
+
+    def _calibrated(self) -> Calibrated:
+        """Return the calibration next to the named effects; a held effect keeps the size that all stages found."""
+        fitted, problem = self.fitted, self.fitted.verdict_problem
+        free = np.array([path not in self.view.held for path in problem.nuisance_paths])
+        problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
+        return calibrated(fitted.setup, problem, fitted.plain, self.fit, self._unit)
 
     def _best_fit(self) -> BestFit | None:
         """Return the effects that predict whole recordings best, if the named ones leave a gap and predict less."""
