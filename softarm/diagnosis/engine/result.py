@@ -90,6 +90,8 @@ class Diagnosis:
     # Stage -> share of its RMS that all named effects remove.
     total_shrink: Mapping[str, Interval] = field(default_factory=dict)
     held_out: HeldOut | None = None  # None if unknown
+    # Stage of a rig whose noise floor is what its model leaves -> that floor in multiples of the noise of its signals.
+    noise: Mapping[str, float] = field(default_factory=dict)
     margins: Mapping[str, float] = field(default_factory=dict)  # of effects that may have a confidence
     vocabulary: Mapping[str, Effect] = field(default_factory=dict)  # effects of a rig; the robot's are in the registry
     calibrated: Model | None = None  # the patched model with the calibration; None without either

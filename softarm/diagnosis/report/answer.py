@@ -23,6 +23,7 @@ from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import NamedEffect
 
 _AS_GOOD = 0.9  # share of the flexible model's improvement: an effect that reaches it failed for another reason
+LOUD = 3.0  # multiple of the noise of a stage's signals from which what its model leaves is stated first
 LISTED_MAX = 4  # effects in a headline; more are counted
 NOT_RATED = "not rated"
 
@@ -47,7 +48,8 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the answer as one sentence that a technician understands."""
     verdict = diagnosis.verdict
     if verdict.verdict == "none":
-        return "No cause found" if max(_in_floors(diagnosis).values(), default=0.0) > 1 else "No gap"
+        is_open = max(_in_floors(diagnosis).values(), default=0.0) > 1 or _loudest(diagnosis) is not None
+        return "No cause found" if is_open else "No gap"
     if verdict.verdict == "unknown":
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
@@ -163,11 +165,28 @@ def _in_floors(diagnosis: Diagnosis) -> dict[str, float]:
     return {stage: before[stage].value / floor[stage].value for stage in stages_of(diagnosis) if stage in before}
 
 
+def _loudest(diagnosis: Diagnosis) -> str | None:
+    """Return the stage whose model leaves most above the noise of its signals, or None if that is little."""
+    noise = diagnosis.noise
+    loudest = max(noise, key=lambda stage: noise[stage], default=None)
+    return loudest if loudest is not None and noise[loudest] > LOUD else None
+
+
 def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     gap, known = diagnosis.verdict.gap, _in_floors(diagnosis)
     it = model_word(diagnosis)
     robot = "robot" if diagnosis.nominal is not None else "rig"
     calibrated = f" {calibration_in_words(diagnosis)}" if diagnosis.verdict.calibration else ""
+    unchanged = f"No effect is added to the {it}. Larger, faster or longer excitations would show more.{calibrated}"
+    if (loudest := _loudest(diagnosis)) is not None:
+        left = gap.floor[loudest]
+        return (
+            f"No cause of a gap between {robot} and {it} was found on this data.",
+            f"The {loudest} stage leaves {quantity(left.value, left.unit)} RMS, {number(diagnosis.noise[loudest], 2)} "
+            "times the noise of its signals. Nothing that was recorded explains it: noise, or a disturbance from "
+            "outside, such as a cable or a contact.",
+            unchanged,
+        )
     stage = max(known, key=lambda name: known[name])
     left, floor, ratio = gap.before[stage], gap.floor[stage], known[stage]
     place = "the whole chain" if stage == "chain" else f"the {stage} stage"
@@ -182,5 +201,5 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
         f"No cause of a gap between {robot} and {it} was found on this data.",
         f"{place[0].upper()}{place[1:]} is at {number(ratio, 2)} times its noise floor: {size}. "
         "That is too little to attribute to an effect, and no proof that the gap is zero.",
-        f"No effect is added to the {it}. Larger, faster or longer excitations would show more.{calibrated}",
+        unchanged,
     )

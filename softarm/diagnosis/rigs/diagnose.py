@@ -66,6 +66,7 @@ def diagnose_table(
         margins={
             name: x for s in stages if s.decision.kind == "named" for name, x in margins(s.decision.selected).items()
         },
+        noise={s.answer.stage: s.noise for s in stages if s.noise},
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},

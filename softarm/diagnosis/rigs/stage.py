@@ -98,6 +98,7 @@ class Finding:
     warnings: tuple[str, ...]
     driven_by: frozenset[str]  # stages whose measured motion loads this stage
     assumed: Mapping[str, float]  # 'effect.parameter' -> settled value of the nominal model
+    noise: float = 0.0  # floor, if it is what the model leaves, in multiples of the estimate from the signals; else 0
     law: int | None = None  # number of the law that all stages together determined, if they did
     losses: tuple[float, ...] = ()  # by law: energy of the gap per sample; empty if there is one law or it was given
 
@@ -287,6 +288,7 @@ class _Stage:
             warnings=tuple(self._warnings()),
             driven_by=view.driven_by,
             assumed=view.assumed,
+            noise=self._noise() if decision.noise else 0.0,
         )
 
     def _unit(self, path: str) -> str:
@@ -338,6 +340,10 @@ class _Stage:
             return estimated
         return max(estimated, rms(self.fitted.null_residuals[self.view.stage].astype(float)))
 
+    def _noise(self) -> float:
+        """Return the noise floor in multiples of the estimate from the signals."""
+        return self._floor() / float(np.sqrt(np.mean(self.view.floor**2)))
+
     def _shrink(self, less: Fit) -> Interval:
         """Return the share of the held-out RMS that is lost with fewer effects."""
         return share(*shrink.interval(squares_of(self.fitted, less, self.view.stage), self.left_squares))
@@ -379,10 +385,9 @@ class _Stage:
         if self.decision.structure and (self.decision.selected or self.found.slow):
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
         if self.decision.noise:
-            ratio = self._floor() / float(np.sqrt(np.mean(self.view.floor**2)))
             found.append(
-                f"{stage}: the noise floor is what the model leaves, {ratio:.2g} times the estimate from the signals; "
-                "a flexible model explains nothing of it beyond chance on held-out data"
+                f"{stage}: the noise floor is what the model leaves, {self._noise():.2g} times the estimate from the "
+                "signals; a flexible model explains nothing of it beyond chance on held-out data"
             )
         damping = self.fitted.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
         if damping is not None and self.decision.selected and damping < -0.9:

@@ -376,6 +376,16 @@ def test_an_interval_has_the_digits_that_it_deserves(bounds, unit, says):
     assert words.interval(interval(*bounds), unit) == says
 
 
+@pytest.mark.parametrize(("times", "stated"), [(2.0, False), (90.0, True)])
+def test_none_states_first_what_a_model_leaves_far_above_the_noise_of_the_signals(times, stated):
+    (stage, *_) = CASES["none"].verdict.gap.floor
+    case = replace(CASES["none"], noise={stage: times})
+    cause, sure, _ = report.answer(case)
+    assert cause.startswith("No cause" if stated else "No gap")
+    assert headline(case) == ("No cause found" if stated else "No gap")
+    assert (f"The {stage} stage leaves " in sure and "90 times the noise of its signals" in sure) == stated
+
+
 def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
     late = gap(rms("s", clock=0.0067), rms("s", clock=0.0067), rms("s", clock=0.0012))
     cause, sure, then = report.answer(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": late})))
