@@ -177,11 +177,12 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     it = model_word(diagnosis)
     robot = "robot" if diagnosis.nominal is not None else "rig"
     calibrated = f" {calibration_in_words(diagnosis)}" if diagnosis.verdict.calibration else ""
+    not_found = f"No cause of a gap between {robot} and {it} was found on this data."
     unchanged = f"No effect is added to the {it}. Larger, faster or longer excitations would show more.{calibrated}"
     if (loudest := _loudest(diagnosis)) is not None:
         left = gap.floor[loudest]
         return (
-            f"No cause of a gap between {robot} and {it} was found on this data.",
+            not_found,
             f"The {loudest} stage leaves {quantity(left.value, left.unit)} RMS, {number(diagnosis.noise[loudest], 2)} "
             "times the noise of its signals. Nothing that was recorded explains it: noise, or a disturbance from "
             "outside, such as a cable or a contact.",
@@ -198,7 +199,7 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
             f"Nothing is missing in the {it}. Other excitations may still show a gap.{calibrated}",
         )
     return (
-        f"No cause of a gap between {robot} and {it} was found on this data.",
+        not_found,
         f"{place[0].upper()}{place[1:]} is at {number(ratio, 2)} times its noise floor: {size}. "
         "That is too little to attribute to an effect, and no proof that the gap is zero.",
         unchanged,

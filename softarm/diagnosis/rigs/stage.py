@@ -335,14 +335,18 @@ class _Stage:
 
     def _floor(self) -> float:
         """Return the noise floor, RMS; without an effect, what the calibrated model leaves is noise."""
-        estimated = float(np.sqrt(np.mean(self.view.floor**2)))
+        estimated = self._signal_noise()
         if self.decision.kind != "none":
             return estimated
         return max(estimated, rms(self.fitted.null_residuals[self.view.stage].astype(float)))
 
     def _noise(self) -> float:
         """Return the noise floor in multiples of the estimate from the signals."""
-        return self._floor() / float(np.sqrt(np.mean(self.view.floor**2)))
+        return self._floor() / self._signal_noise()
+
+    def _signal_noise(self) -> float:
+        """Return the noise floor as estimated from the signals, RMS."""
+        return float(np.sqrt(np.mean(self.view.floor**2)))
 
     def _shrink(self, less: Fit) -> Interval:
         """Return the share of the held-out RMS that is lost with fewer effects."""

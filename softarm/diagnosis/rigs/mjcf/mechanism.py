@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +114,14 @@ class Mechanism:
         single = [i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds]
         self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
         self.poses = tuple(self._pose(i) for i in range(self.model.njnt) if i not in single)
+
+    def mjcf(self) -> str:
+        """Return the text of the MJCF file; of a URDF, the MJCF that MuJoCo makes of it."""
+        if ElementTree.parse(self.path).getroot().tag != "robot":
+            return self.path.read_text()
+        spec = self._mujoco.MjSpec.from_file(str(self.path))
+        spec.compile()
+        return str(spec.to_xml())
 
     def joint(self, name: str) -> Joint:
         """Return a joint; raise TrialError with the known names if there is none."""

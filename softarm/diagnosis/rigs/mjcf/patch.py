@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
@@ -56,9 +55,10 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     found = {place: standard(*of) for place, of in verdict.findings(calibration, best_fit).items()}
     if not found:
         return None
-    before = _mjcf(path)
     stages = {*verdict.where.share, *(place.partition(".")[0] for place in found)}
-    model, edits, left_out = mechanism(path, stages), _Edits(before), []
+    model, left_out = mechanism(path, stages), []
+    before = model.mjcf()
+    edits = _Edits(before)
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
     shares: dict[str, list[float]] = {}
     tilts: dict[str, list[float]] = {}  # axis -> the base's tilt about it by each joint that it loads, rad
@@ -98,17 +98,6 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
     )
     return MjcfPatch(after, "".join(lines), tuple(left_out))
-
-
-def _mjcf(path: Path) -> str:
-    """Return the text of an MJCF file, or of a URDF as MuJoCo writes it."""
-    if ElementTree.parse(path).getroot().tag != "robot":
-        return path.read_text()
-    import mujoco
-
-    spec = mujoco.MjSpec.from_file(str(path))
-    spec.compile()
-    return str(spec.to_xml())
 
 
 def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:
