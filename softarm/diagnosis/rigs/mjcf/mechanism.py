@@ -1,6 +1,7 @@
 """Mechanism of a MuJoCo model: its joints, their actuators, and the rigid-body terms along a measured motion."""
 
 import copy
+import re
 from collections.abc import Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -83,6 +84,15 @@ class Course(NamedTuple):
     below: State
 
 
+class Inertial(NamedTuple):
+    """Mass and inertia of a body; `at` and `quat` give the frame of its principal axes in the frame of the body."""
+
+    mass_kg: float
+    at: Array  # [3], m
+    quat: Array  # [4]
+    inertia: Array  # [3], kg m^2
+
+
 class Mechanism:
     """Joints of a model, by name, and their rigid-body terms."""
 
@@ -116,12 +126,27 @@ class Mechanism:
         self.poses = tuple(self._pose(i) for i in range(self.model.njnt) if i not in single)
 
     def mjcf(self) -> str:
-        """Return the text of the MJCF file; of a URDF, the MJCF that MuJoCo makes of it."""
-        if ElementTree.parse(self.path).getroot().tag != "robot":
+        """Return the text of the MJCF file; else the MJCF that MuJoCo makes of it, if it is not one file of strict XML.
+
+        A URDF becomes an MJCF. Files with an `include` become one.
+        """
+        try:
+            root = ElementTree.parse(self.path).getroot()
+        except ElementTree.ParseError:  # MuJoCo reads comments with "--"
+            root = None
+        if root is not None and root.tag == "mujoco" and root.find(".//include") is None:
             return self.path.read_text()
         spec = self._mujoco.MjSpec.from_file(str(self.path))
         spec.compile()
-        return str(spec.to_xml())
+        return re.sub("<!--.*?-->", "", str(spec.to_xml()), flags=re.DOTALL)
+
+    def inertial(self, name: str) -> Inertial | None:
+        """Return mass and inertia of a body, or None if those of its geoms override its own."""
+        body, overrides = self._body(name), self._mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        spec, m = self._mujoco.MjSpec.from_file(str(self.path)), self.model
+        if spec.compiler.inertiafromgeom == int(overrides) and m.body_geomnum[body]:
+            return None
+        return Inertial(float(m.body_mass[body]), m.body_ipos[body], m.body_iquat[body], m.body_inertia[body])
 
     def joint(self, name: str) -> Joint:
         """Return a joint; raise TrialError with the known names if there is none."""

@@ -1,6 +1,7 @@
 """Patch of an MJCF file: findings of a diagnosis as changed attributes, with all other text as it was.
 
-A URDF has no place for most findings; its patch is the MJCF that MuJoCo makes of it.
+A URDF has no place for most findings, and an MJCF may be spread over several files; then the patch is the one MJCF that
+MuJoCo makes of it.
 """
 
 import difflib
@@ -8,15 +9,17 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.effects import MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
-from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism, mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Inertial, Joint, Mechanism, mechanism
 from softarm.schemas.verdict import Verdict
 
 # Parameter of a joint's effect -> attribute of its `joint` element.
@@ -29,7 +32,7 @@ _JOINT = {
 # Laws of dry friction, and the impedance with which MuJoCo's friction holds a joint; by default it creeps under a load.
 _FRICTION = "coulomb_friction", "stiction", "load_friction"
 _HOLDS = "0.9999 0.9999"
-_ACTUATORS = ("position", "velocity", "motor", "general", "intvelocity", "damper", "cylinder", "muscle", "adhesion")
+_ACTUATORS = "position", "velocity", "motor", "general", "cylinder"
 _DIGITS = 6
 _POINT_KG_M2 = "1e-9"  # inertia of a point mass: MuJoCo refuses zero
 
@@ -83,16 +86,12 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         elif not _written(edits, joint, parameter, value, found):
             left_out.append(f"{place} = {value:.{_DIGITS}g}")
     rubbing = {place.partition(".")[0] for place in found if place.split(".")[1] in _FRICTION}
+    rubbing |= {name for name in stages & model.joints.keys() if model.joints[name].friction}
     for name in sorted(rubbing.difference(verdict.creeping)):
-        edits.set(("joint",), name, "solimpfriction", _HOLDS)
-    for body, values in shares.items():  # several joints weigh the same body
-        edits.change_mass(body, factor=1 + float(np.mean(values)))
-    for body, loads in payloads.items():
-        mass, *at = np.mean(loads, axis=0)
-        if not edits.add_point_mass(body, float(mass), at):
-            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
+        edits.set(_Element("joint", name), "solimpfriction", _HOLDS)
+    left_out += _write_bodies(edits, model, shares, payloads)
     if tilts:
-        edits.set_option("gravity", " ".join(map(_short, _tilted(model, tilts))))
+        edits.set_option("gravity", _numbers(_tilted(model, tilts)))
     after = edits.text
     lines = difflib.unified_diff(
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
@@ -105,25 +104,76 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     if parameter == "coulomb_friction.torque":
         value = max(value - joint.followers_dry, 0.0)
     if parameter in _JOINT:
-        return edits.set(("joint",), joint.name, _JOINT[parameter], _short(value))
+        return edits.set(_Element("joint", joint.name), _JOINT[parameter], _short(value))
     actuator = joint.actuator
-    if actuator is None:
+    element = edits.actuator(actuator.name, joint.name) if actuator else None
+    if actuator is None or element is None:
         return False
     if parameter == "ceiling.limit":
         limit = value / abs(actuator.gear)  # of the actuator, before its gear
-        return edits.set(_ACTUATORS, actuator.name, "forcerange", f"{_short(-limit)} {_short(limit)}")
-    if parameter == "lag.time":
-        return edits.set(("position", "intvelocity", "cylinder"), actuator.name, "timeconst", _short(value))
-    if parameter not in ("gain.scale", "position_gain.scale"):
+        changes = {"forcelimited": "true", "forcerange": f"{_short(-limit)} {_short(limit)}"}
+    elif parameter == "lag.time":
+        changes = _lag(element.tag, value)
+    elif parameter in ("gain.scale", "position_gain.scale"):
+        factor, stiffer = (1 + found.get(f"{joint.name}.{name}.scale", 0.0) for name in ("gain", "position_gain"))
+        changes = _gains(element.tag, actuator, factor, factor * stiffer)
+    else:
         return False
-    factor = 1 + found.get(f"{joint.name}.gain.scale", 0.0)
-    stiff = factor * (1 + found.get(f"{joint.name}.position_gain.scale", 0.0))
-    if edits.kind(_ACTUATORS, actuator.name) == "position":
-        edits.set(("position",), actuator.name, "kp", _short(stiff * actuator.kp / actuator.gear**2))
-        return edits.set(("position",), actuator.name, "kv", _short(factor * actuator.kd / actuator.gear**2))
-    if edits.kind(_ACTUATORS, actuator.name) == "motor":
-        return edits.set(("motor",), actuator.name, "gear", _short(factor * actuator.own_gear))
-    return False
+    if element.tag == "motor" and "gainprm" in changes:
+        element = edits.rename(element, "general")
+    return bool(changes) and all(edits.set(element, attribute, text) for attribute, text in changes.items())
+
+
+def _lag(tag: str, time_s: float) -> dict[str, str]:
+    """Return the attributes of an actuator with a time constant; a motor with one is a general actuator."""
+    if tag in ("position", "cylinder"):
+        return {"timeconst": _short(time_s)}
+    if tag in ("motor", "general"):
+        own = {"gainprm": "1"} if tag == "motor" else {}
+        return own | {"dyntype": "filterexact", "dynprm": _short(time_s)}
+    return {}
+
+
+def _gains(tag: str, actuator: Actuator, factor: float, stiff: float) -> dict[str, str]:
+    """Return the attributes of an actuator whose gain has a factor, and its position gain another one."""
+    gear = actuator.gear
+    kp, kd = stiff * actuator.kp / gear**2, factor * actuator.kd / gear**2
+    if tag == "position":
+        return {"kp": _short(kp), "kv": _short(kd)}
+    if tag == "velocity":
+        return {"kv": _short(kd)}
+    if tag == "motor":
+        return {"gear": _short(factor * actuator.own_gear)}
+    if tag == "general":
+        bias = stiff * actuator.offset / gear, -kp, -kd
+        return {"gainprm": _short(stiff * actuator.scale / gear)} | ({"biasprm": _numbers(bias)} if any(bias) else {})
+    return {}
+
+
+def _write_bodies(
+    edits: "_Edits",
+    model: Mechanism,
+    shares: Mapping[str, Sequence[float]],
+    payloads: Mapping[str, Sequence[tuple[float, ...]]],
+) -> list[str]:
+    """Write masses and payloads, each the mean over the joints that weigh it, and return what is left out.
+
+    Args:
+        edits: the file.
+        model: its model.
+        shares: relative changes of the mass, by body.
+        payloads: mass and place, by body.
+    """
+    left_out = []
+    for body, values in shares.items():
+        factor = 1 + float(np.mean(values))
+        if not edits.change_mass(body, factor, model.inertial(body)):
+            left_out.append(f"mass of {body} x {factor:.{_DIGITS}g}: its geoms define it, or the body has no name")
+    for body, loads in payloads.items():
+        mass, *at = np.mean(loads, axis=0)
+        if not edits.add_point_mass(body, float(mass), at):
+            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
+    return left_out
 
 
 def _tilted(model: Mechanism, tilts: Mapping[str, Sequence[float]]) -> Array:
@@ -133,18 +183,26 @@ def _tilted(model: Mechanism, tilts: Mapping[str, Sequence[float]]) -> Array:
     return np.asarray(tilted * np.linalg.norm(gravity) / np.linalg.norm(tilted))
 
 
+class _Element(NamedTuple):
+    """Opening tags with a name; `joint`: those of actuators without a name at this joint."""
+
+    tag: str
+    name: str
+    joint: str | None = None
+
+
 class _Edits:
     """Text of an XML file whose attributes are changed in place."""
 
     def __init__(self, text: str) -> None:
         self.text = text
 
-    def set(self, tags: Iterable[str], name: str, attribute: str, value: str) -> bool:
-        """Set an attribute of the element with a tag and name; return False if the file holds no such element."""
-        place = self._place(tuple(tags), name, inside=False)
+    def set(self, element: _Element, attribute: str, value: str) -> bool:
+        """Set an attribute of an element; return False if the file holds no such element."""
+        place = self._place(element)
         if place is None:
             return False
-        start, end, _ = place
+        start, end = place
         tag = self.text[start:end]
         if old := _attribute(tag, attribute):
             tag = f"{tag[: old.start(3)]}{value}{tag[old.end(3) :]}"
@@ -152,59 +210,87 @@ class _Edits:
             close = re.search(r"\s*/?>$", tag)
             assert close is not None
             tag = f'{tag[: close.start()]} {attribute}="{value}"{tag[close.start() :]}'
+        if element.tag == "position" and attribute == "kv" and (ratio := _attribute(tag, "dampratio")):
+            tag = tag[: ratio.start()] + tag[ratio.end() :]  # MuJoCo refuses both
         self.text = self.text[:start] + tag + self.text[end:]
         return True
 
     def set_option(self, attribute: str, value: str) -> None:
         """Set an attribute of the model's `option`, in a new element if there is none."""
-        if not self.set(("option",), "", attribute, value):
-            place = self._place(("mujoco",), "", inside=True)
-            assert place is not None
-            self.text = f'{self.text[: place[1]]}\n  <option {attribute}="{value}"/>{self.text[place[1] :]}'
+        if not self.set(_Element("option", ""), attribute, value):
+            self._add(_Element("mujoco", ""), f'<option {attribute}="{value}"/>')
 
-    def change_mass(self, body: str, factor: float) -> None:
-        """Multiply mass and inertia of a body that has an `inertial` element."""
-        place = self._place(("inertial",), body, inside=True)
+    def rename(self, element: _Element, tag: str) -> _Element:
+        """Give an element of the file another tag."""
+        place = self._place(element)
+        assert place is not None
+        start, end = place
+        before, inner, after = self.text[:start], self.text[start:end], self.text[end:]
+        if not inner.endswith("/>"):
+            after = after.replace(f"</{element.tag}", f"</{tag}", 1)
+        self.text = f"{before}<{tag}{inner.removeprefix(f'<{element.tag}')}{after}"
+        return element._replace(tag=tag)
+
+    def change_mass(self, body: str, factor: float, inertial: Inertial | None) -> bool:
+        """Multiply mass and inertia of a body; return False if the file cannot express it.
+
+        Args:
+            body: name of the body.
+            factor: new mass over the present one.
+            inertial: present mass and inertia, or None if the body's geoms define them.
+        """
+        if inertial is None:
+            return False
+        place = self._place(_Element("inertial", ""), body)
         if place is None:
-            return
+            frame = f'pos="{_numbers(inertial.at)}" quat="{_numbers(inertial.quat)}"'
+            mass, inertia = _short(factor * inertial.mass_kg), _numbers(factor * inertial.inertia)
+            return self._add(_Element("body", body), f'<inertial {frame} mass="{mass}" diaginertia="{inertia}"/>')
         tag = self.text[place[0] : place[1]]
         for name in ("mass", "diaginertia", "fullinertia"):
             if old := _attribute(tag, name):
-                numbers = [factor * float(x) for x in old[3].split()]
-                tag = f"{tag[: old.start(3)]}{' '.join(map(_short, numbers))}{tag[old.end(3) :]}"
+                scaled = [factor * float(x) for x in old[3].split()]
+                tag = f"{tag[: old.start(3)]}{_numbers(scaled)}{tag[old.end(3) :]}"
         self.text = f"{self.text[: place[0]]}{tag}{self.text[place[1] :]}"
+        return True
 
     def add_point_mass(self, body: str, mass_kg: float, at: Iterable[float]) -> bool:
         """Add a body without a joint to a named one, at a place in its frame, [3]; return False without such a name."""
-        place = self._place(("body",), body, inside=False)
-        if place is None:
-            return False
-        start, end, _ = place
-        indent = self.text[self.text.rfind("\n", 0, start) + 1 : start] + "  "
         more = (
-            f'<body name="{body}_payload" pos="{" ".join(map(_short, at))}">'
+            f'<body name="{body}_payload" pos="{_numbers(at)}">'
             f'<inertial pos="0 0 0" mass="{_short(mass_kg)}" diaginertia="{" ".join([_POINT_KG_M2] * 3)}"/></body>'
         )
-        self.text = f"{self.text[:end]}\n{indent}{more}{self.text[end:]}"
+        return self._add(_Element("body", body), more)
+
+    def actuator(self, name: str, joint: str) -> _Element | None:
+        """Return the actuator with a name, else one without a name at a joint, else None."""
+        found = (_Element(tag, *by) for by in ((name,), ("", joint)) for tag in _ACTUATORS)
+        return next((each for each in found if self._place(each)), None)
+
+    def _add(self, element: _Element, child: str) -> bool:
+        """Add a child at the start of an element, in a line of its own; return False if there is no such element."""
+        place = self._place(element)
+        if place is None:
+            return False
+        start, end = place
+        line = self.text[self.text.rfind("\n", 0, start) + 1 : start]
+        indent = line[: len(line) - len(line.lstrip())]
+        self.text = f"{self.text[:end]}\n{indent}  {child}{self.text[end:]}"
         return True
 
-    def kind(self, tags: Iterable[str], name: str) -> str | None:
-        """Return the tag of a named element."""
-        place = self._place(tuple(tags), name, inside=False)
-        return None if place is None else place[2]
-
-    def _place(self, tags: tuple[str, ...], name: str, *, inside: bool) -> tuple[int, int, str] | None:
-        """Return start, end and tag of an opening tag; `inside`: of the first such element in a named body."""
+    def _place(self, element: _Element, body: str | None = None) -> tuple[int, int] | None:
+        """Return start and end of the first such opening tag, of those directly in a body if one is given."""
         data, bodies = self.text.encode(), list[str]()
-        found: list[tuple[int, str]] = []
+        found: list[int] = []
         parser = expat.ParserCreate()
 
         def begin(tag: str, attributes: Mapping[str, str]) -> None:
             if tag == "body":
                 bodies.append(attributes.get("name", ""))
-            owner = bodies[-1] if bodies else ""
-            if tag in tags and (owner if inside else attributes.get("name", "")) == name and not found:
-                found.append((parser.CurrentByteIndex, tag))
+            same = tag == element.tag and attributes.get("name", "") == element.name and not found
+            same &= element.joint in (None, attributes.get("joint"))
+            if same and (body is None or (bodies and bodies[-1] == body)):
+                found.append(parser.CurrentByteIndex)
 
         def end(tag: str) -> None:
             if tag == "body":
@@ -214,11 +300,10 @@ class _Edits:
         parser.Parse(data, True)
         if not found:
             return None
-        at, tag = found[0]
-        start = len(data[:at].decode())
+        start = len(data[: found[0]].decode())
         match = re.compile(r"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(self.text, start)
         assert match is not None
-        return start, match.end(), tag
+        return start, match.end()
 
 
 def _attribute(tag: str, name: str) -> re.Match[str] | None:
@@ -237,3 +322,8 @@ def standard(value: float, unit: str) -> float:
 def _short(value: float) -> str:
     """Return a value with six significant digits."""
     return f"{value:.{_DIGITS}g}"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return values with six significant digits each, as MJCF separates them."""
+    return " ".join(map(_short, values))

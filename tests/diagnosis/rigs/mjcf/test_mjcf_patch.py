@@ -27,8 +27,8 @@ def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(t
     found = patch.patched(ARM, verdict(changes), calibration=True)
     before, after = ARM.read_text().splitlines(), found.text.splitlines()
     assert len(before) == len(after)
-    assert sum(one != other for one, other in zip(before, after, strict=True)) == 4
-    assert found.diff.count("\n+") == 5  # with the header
+    assert sum(one != other for one, other in zip(before, after, strict=True)) == 5
+    assert found.diff.count("\n+") == 6  # with the header; the shoulder's friction holds
     model = read(found, tmp_path)
     assert model.dof_frictionloss[model.joint("elbow").dofadr[0]] == pytest.approx(0.12)
     assert model.dof_damping[model.joint("wrist").dofadr[0]] == pytest.approx(0.2)
@@ -37,21 +37,93 @@ def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(t
     assert model.actuator("elbow_servo").forcerange.tolist() == [-2.5, 2.5]
 
 
+FRICTION_N_M = 1.5 * 0.5 * 9.81 * 0.2  # holds the link of the next test
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["of the model", "found"])
 @pytest.mark.parametrize(("creeping", "moved_rad"), [((), 2e-4), (("elbow",), 0.02)])
-def test_friction_holds_a_weight_unless_the_recordings_show_that_it_creeps(tmp_path, creeping, moved_rad):
+def test_friction_holds_a_weight_unless_the_recordings_show_that_it_creeps(tmp_path, own, creeping, moved_rad):
     file = tmp_path / "arm.xml"
+    friction = f'frictionloss="{FRICTION_N_M}"' if own else ""
     file.write_text(
-        """<mujoco><worldbody><body><joint name="elbow" axis="0 1 0" ref="90"/>
+        f"""<mujoco><worldbody><body><joint name="elbow" axis="0 1 0" ref="90" {friction}/>
         <inertial pos="0.2 0 0" mass="0.5" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody></mujoco>"""
     )
-    weighs = 0.5 * 9.81 * 0.2
-    found = verdict([("elbow.coulomb_friction.torque", 1.5 * weighs, "N m")]).model_copy(update={"creeping": creeping})
+    change = ("damping.viscous", 1e-3, "N m s/rad") if own else ("coulomb_friction.torque", FRICTION_N_M, "N m")
+    found = verdict([(f"elbow.{change[0]}", *change[1:])]).model_copy(update={"creeping": creeping})
     model = read(patch.patched(file, found, calibration=True), tmp_path)
     data = mujoco.MjData(model)
     start = float(data.qpos[0])
     mujoco.mj_step(model, data, nstep=1000)
     moved = abs(float(data.qpos[0]) - start)
     assert moved > moved_rad if creeping else moved < moved_rad
+
+
+ACTUATED = """<mujoco>{}<worldbody><body name="link"><joint name="elbow" axis="0 1 0"/>
+<geom size="0.1" pos="0.2 0 0" mass="2"/></body></worldbody><actuator>{}</actuator></mujoco>"""
+SLOWER = ("elbow.gain.scale", -0.5, "-"), ("elbow.lag.time", 0.1, "s")
+LOOP = *SLOWER, ("elbow.position_gain.scale", 0.2, "-")
+
+
+@pytest.mark.parametrize(
+    ("actuator", "changes", "gain", "bias", "gear"),
+    [
+        ('<position joint="elbow" kp="10" dampratio="1"/>', LOOP, 6, (0, -6, -0.5), 1),
+        ('<general joint="elbow" gainprm="10" biasprm="3 -10 -2" biastype="affine"/>', LOOP, 6, (1.8, -6, -1), 1),
+        ('<motor name="m" joint="elbow" gear="4"/>', SLOWER, 1, (0, 0, 0), 2),
+        ('<motor joint="elbow" gear="4"></motor>', SLOWER, 1, (0, 0, 0), 2),
+        ('<velocity joint="elbow" kv="3"/>', SLOWER[:1], 1.5, (0, 0, -1.5), 1),
+    ],
+)
+def test_a_gain_and_a_lag_are_written_for_each_kind_of_actuator(tmp_path, actuator, changes, gain, bias, gear):
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format("", actuator))
+    before = mujoco.MjModel.from_xml_path(str(file))
+    found = patch.patched(file, verdict(changes), calibration=True)
+    after = read(found, tmp_path)
+    if "dampratio" in actuator:
+        bias = (*bias[:2], 0.5 * before.actuator_biasprm[0, 2])
+    assert not found.left_out
+    assert (after.actuator_gainprm[0, 0], after.actuator_gear[0, 0]) == pytest.approx((gain, gear))
+    assert after.actuator_biasprm[0, :3] == pytest.approx(bias)
+    if len(changes) > 1:
+        assert after.actuator_dynprm[0, 0] == pytest.approx(0.1)
+        assert after.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
+
+
+def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format('<compiler autolimits="false"/>', '<motor name="m" joint="elbow"/>'))
+    after = read(patch.patched(file, verdict([("elbow.ceiling.limit", 2.0, "N m")]), calibration=True), tmp_path)
+    assert after.actuator_forcelimited[0]
+    assert after.actuator_forcerange[0].tolist() == [-2, 2]
+
+
+@pytest.mark.parametrize("include", [True, False], ids=["include", "comment"])
+def test_a_file_that_cannot_be_edited_is_replaced_by_one_of_mujoco(tmp_path, include):
+    """One that includes another file, and one with a comment that only MuJoCo reads."""
+    file, robot = tmp_path / "scene.xml", ACTUATED.format("", '<position joint="elbow" kp="10"/>')
+    (tmp_path / "robot.xml").write_text(robot)
+    scene = '<mujoco><include file="robot.xml"/></mujoco>'
+    file.write_text(scene if include else robot.replace("<worldbody>", "<!-- 1 -- 2 --><worldbody>"))
+    changes = [("elbow.damping.viscous", 0.2, "N m s/rad"), ("elbow.gain.scale", -0.5, "-")]
+    found = patch.patched(file, verdict(changes), calibration=True)
+    model = read(found, tmp_path)
+    assert not found.left_out
+    assert (np.ravel(model.dof_damping)[0], model.actuator_gainprm[0, 0]) == pytest.approx((0.2, 5))
+
+
+@pytest.mark.parametrize(("mode", "mass_kg"), [("auto", 2.2), ("true", 2.0)])
+def test_the_mass_of_a_body_without_inertia_of_its_own_is_written_or_reported(tmp_path, mode, mass_kg):
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format(f'<compiler inertiafromgeom="{mode}"/>', ""))
+    before = mujoco.MjModel.from_xml_path(str(file))
+    found = patch.patched(file, verdict([("elbow.mass_link.scale", 0.1, "-")]), calibration=True)
+    body, old = read(found, tmp_path).body("link"), before.body("link")
+    assert body.mass[0] == pytest.approx(mass_kg)
+    assert body.inertia == pytest.approx(old.inertia * mass_kg / 2, rel=1e-4)
+    assert body.ipos == pytest.approx(old.ipos)
+    assert bool(found.left_out) == (mode == "true")
 
 
 def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path):
@@ -153,9 +225,11 @@ def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
     assert [found.body(name).mass[0] for name in ("link", "plate", "tip")] == pytest.approx([1.02, 1.02, 1.0])
 
 
-def test_what_the_format_cannot_express_is_stated():
-    found = patch.patched(ARM, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
-    assert found.text == ARM.read_text()
+def test_what_the_format_cannot_express_is_stated(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format("", ""))
+    found = patch.patched(file, verdict([("elbow.dead_time.delay", 0.03, "s")]), calibration=True)
+    assert found.text == file.read_text()
     assert found.left_out == ("elbow.dead_time.delay = 0.03",)
 
 
