@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from softarm.diagnosis.describe.joints import ModelJoint
     from softarm.diagnosis.describe.proposal import Answers, Proposal, Question
     from softarm.diagnosis.describe.survey import Survey
+    from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 
-UNIT_ERROR = 0.2  # relative difference of an actuator's gain and stiffness up to which it is commanded by position
+UNIT_ERROR = 0.2  # relative difference of an actuator's gain and stiffness up to which its command has a unit
 KINDS = click.Choice(DESCRIBED)
 ANGLES = click.Choice(("absolute", "relative"))
 RATE = click.FloatRange(min=0, min_open=True)
@@ -118,14 +119,20 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
         found += [ModelJoint(name, "m", math.inf, "", "", moved=True) for name in pose.place]
         found += [ModelJoint(name, PURE, math.inf, "", "", moved=True) for name in pose.turn]
     for joint in robot.joints.values():
-        unit, torque = ("rad", "N m") if joint.turns else ("m", "N")
-        actuator = joint.actuator
-        wanted = torque
-        if actuator is not None and actuator.kp > 0:  # some loops take commands in units of their own, such as 0 to 255
-            wanted = unit if math.isclose(actuator.scale, actuator.kp, rel_tol=UNIT_ERROR) else PURE
+        unit, actuator = "rad" if joint.turns else "m", joint.actuator
         name = actuator.name if actuator is not None else ""
-        found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, wanted))
+        found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, _command_unit(joint)))
     return tuple(found)
+
+
+def _command_unit(joint: "Joint") -> str:
+    """Return the unit of a joint's command: its position, its speed, its torque, or PURE as for 0 to 255."""
+    (unit, torque), actuator = ("rad", "N m") if joint.turns else ("m", "N"), joint.actuator
+    if actuator is None:
+        return torque
+    worth = {unit: actuator.kp, f"{unit}/s": actuator.kd, torque: 1.0}
+    wanted = unit if actuator.kp > 0 else f"{unit}/s" if actuator.kd > 0 else torque
+    return wanted if math.isclose(abs(actuator.scale), worth[wanted], rel_tol=UNIT_ERROR) else PURE
 
 
 def _leaders(model: Path, measured: Collection[str]) -> dict[str, str]:

@@ -80,8 +80,8 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
-        position_loop = joint.command_unit == joint.unit
-        excluded = (*_RATES, *_EFFORTS) if position_loop else _RATES
+        excluded = (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
+        excluded = _EFFORTS if joint.command_unit in _RATES else excluded
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
         command = _first(draft, commands, excluded)
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))

@@ -186,17 +186,25 @@ def test_the_only_pose_of_a_recording_is_that_of_the_only_floating_body(tmp_path
     assert "the only pose in the recordings counts as that of hull" in " ".join(out.read_text().split())
 
 
-def test_a_command_in_units_of_its_own_is_not_taken_for_degrees(tmp_path):
-    """Grippers often take 0 to 255 for their whole range."""
-    servo = (
-        '<general name="grip" joint="finger" gainprm="0.3" biastype="affine" biasprm="0 -100 -10" ctrlrange="0 255"/>'
-    )
+@pytest.mark.parametrize(
+    ("actuator", "header", "unit"),
+    [
+        ('<general {} gainprm="0.3" biastype="affine" biasprm="0 -100 -10" ctrlrange="0 255"/>', "grip", "-"),
+        ('<motor {} gear="30" ctrlrange="-10 10"/>', "grip", "-"),
+        ("<motor {}/>", "grip", "N m"),
+        ('<velocity {} kv="2"/>', "grip (rad/s)", "rad/s"),
+        ('<velocity {} kv="2"/>', "grip", "rad/s"),
+    ],
+)
+def test_a_command_has_the_unit_of_its_actuator(tmp_path, actuator, header, unit):
+    """Grippers often take 0 to 255 for their whole range, geared motors -1 to 1: no degrees, and no torque."""
     body = '<body><joint name="finger" range="0 0.8"/><geom size="0.1"/></body>'
     model, out = tmp_path / "gripper.xml", tmp_path / "stage.yaml"
+    servo = actuator.format('name="grip" joint="finger"')
     model.write_text(f"<mujoco><worldbody>{body}</worldbody><actuator>{servo}</actuator></mujoco>")
     t = np.arange(0, 5, 0.01)
-    table = np.stack([t, 100 + 50 * np.sin(t), 0.3 + 0.15 * np.sin(t - 0.1)], axis=1)
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,grip,finger", comments="")
+    table = np.stack([t, 3 * np.sin(t), 0.3 + 0.15 * np.sin(t - 0.1)], axis=1)
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=f"t,{header},finger", comments="")
     result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    assert yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["grip"]["unit"] == "-"
+    assert out.exists(), result.output
+    assert yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["grip"]["unit"] == unit
