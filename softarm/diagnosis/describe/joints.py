@@ -80,10 +80,8 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
         signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
-        excluded = (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
-        excluded = _EFFORTS if joint.command_unit in _RATES else excluded
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
-        command = _first(draft, commands, excluded)
+        command = _first(draft, commands, _no_commands(joint))
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
         if measured is None:
             continue
@@ -95,6 +93,13 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
     return found
+
+
+def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
+    """Return the units that a joint's command cannot have."""
+    if joint.command_unit in _RATES:
+        return _EFFORTS
+    return (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
 
 
 def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
