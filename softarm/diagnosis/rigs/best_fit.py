@@ -20,6 +20,8 @@ from softarm.schemas.verdict import BestFit, Quantity
 
 # Rounds of a fit to whole recordings, which begins at one to their windows.
 ROUNDS = 6
+# Sets that are simulated together.
+TOGETHER = 16
 # RMS over the smallest one within which a set is fitted to whole recordings, and within which fewer effects are better.
 FAR, NEAR = 2.0, 1.1
 
@@ -66,10 +68,12 @@ def best_fit(
 def _predicting(runs: RigView, fits: Sequence[Fit]) -> list[Fit]:
     """Return the fit of each number of effects that predicts whole recordings best, without far worse ones."""
     best = dict[int, tuple[float, Fit]]()
-    for fit in fits:
-        left = rms(runs.gap([fit.point])[0].astype(float))
-        if left < best.get(len(fit.effects), (math.inf, fit))[0]:
-            best[len(fit.effects)] = left, fit
+    for first in range(0, len(fits), TOGETHER):
+        some = fits[first : first + TOGETHER]
+        for fit, gap in zip(some, runs.gap([fit.point for fit in some]), strict=True):
+            left = rms(gap.astype(float))
+            if left < best.get(len(fit.effects), (math.inf, fit))[0]:
+                best[len(fit.effects)] = left, fit
     most = FAR * min((left for left, _ in best.values()), default=0.0)
     return [fit for left, fit in best.values() if left <= most]
 

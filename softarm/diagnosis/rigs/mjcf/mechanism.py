@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Collection, Hashable, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -212,14 +212,15 @@ class Mechanism:
         new, same_speed, same_position = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_VEL, stage.mjSTAGE_POS))
         known = new, same_speed, same_position, new, new  # stages whose results the evaluation before has left
 
-        q, v, a, forces, inverse = data.qpos, data.qvel, data.qacc, data.qfrc_inverse, mujoco.mj_inverseSkip
+        forces, inverse = data.qfrc_inverse, mujoco.mj_inverseSkip
         needed = np.empty((len(position), len(states), model.nv))
-        samples = zip(*(zip(each.position, each.speed, each.acceleration, strict=True) for each in states), strict=True)
-        for rows, sample in zip(needed, samples, strict=True):
-            for row, (qpos, qvel, qacc), stages in zip(rows, sample, known, strict=True):
-                q[:], v[:], a[:] = qpos, qvel, qacc
+        steps = [*zip(range(len(states)), known, self._writes(data, states), strict=True)]
+        for k, rows in enumerate(needed):
+            for i, stages, writes in steps:
+                for target, values in writes:
+                    target[:] = values[k]
                 inverse(model, data, stages, 1)
-                row[:] = forces
+                rows[i] = forces
         along = np.stack([each.along for each in states], axis=1)
         load, more, moving, over, under = np.einsum("tsv,tsv->st", needed, along)
         by_position, by_speed = (over - under) / (2 * NUDGE), (moving - load) / NUDGE_SPEED
@@ -227,6 +228,16 @@ class Mechanism:
         found[law.INERTIA], found[law.BY_POSITION], found[law.BY_SPEED] = more - load, by_position, by_speed
         found[law.LOAD] = load - by_position * position - by_speed * speed
         return found
+
+    @staticmethod
+    def _writes(data: Any, states: Sequence[State]) -> list[list[tuple[Array, Array]]]:
+        """Return, for each state, the arrays of MuJoCo's data that differ from the state before, and their values."""
+        targets = data.qpos, data.qvel, data.qacc
+        values = [(each.position, each.speed, each.acceleration) for each in states]
+        return [
+            [(t, new) for t, new, old in zip(targets, own, before, strict=True) if new is not old]
+            for own, before in zip(values, [(None, None, None), *values], strict=False)
+        ]
 
     @property
     def level_axes(self) -> Mapping[str, Array]:

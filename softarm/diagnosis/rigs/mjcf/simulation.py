@@ -71,7 +71,8 @@ class JointSimulation:
         self._inputs, self._each = inputs, each
         self._slopes, self._steps = slopes, steps
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
-        self._drives = lru_cache(64)(self._driven)
+        kept = lru_cache(64)
+        self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
 
     def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:
         """Guess the starts of the windows.
@@ -167,15 +168,24 @@ class JointSimulation:
         actuator = self._actuator
         if actuator is None:
             return np.zeros(sum(len(m.seen) for m in self._motions) * self._each)
+        return np.asarray(factor * (actuator.scale * (self._followed(delay_s, lag_s, rate) + bias) + actuator.offset))
+
+    def _follow(self, delay_s: float, lag_s: float, rate: float) -> Array:
+        """Return the command that reaches the actuator at every integration step, [M each]."""
+        held = self._held(delay_s)
+        found = [np.empty_like(each) for each in held]
+        for m, command, out in zip(self._motions, held, found, strict=True):
+            laws.follow(command, rate, lag_s, m.grid.step_s / self._each, out)
+        return np.concatenate(found)
+
+    def _hold(self, delay_s: float) -> list[Array]:
+        """Return each trial's delayed command at its integration steps."""
         found = []
         for m, integral in zip(self._motions, self._inputs, strict=True):
             h = m.grid.step_s / self._each
             # A step begins with its kick and ends with its motion, so the mean of the drive is that around its start.
-            held = held_means(integral, m.grid.t_s[0] - delay_s - 0.5 * h, h, len(m.seen) * self._each)
-            out = np.empty_like(held)
-            laws.follow(held, rate, lag_s, h, out)
-            found.append(factor * (actuator.scale * (out + bias) + actuator.offset))
-        return np.concatenate(found)
+            found.append(held_means(integral, m.grid.t_s[0] - delay_s - 0.5 * h, h, len(m.seen) * self._each))
+        return found
 
     def _body(self, at: Values) -> BodyChange:
         """Return the change of the rigid-body terms in some values."""

@@ -62,18 +62,20 @@ class Slopes:
 
     def at(self, change: BodyChange, start: Array | None = None) -> Array:
         """Return the terms with changed bodies, [ROWS, M]; start: terms to start from, instead of the base."""
-        found = self.base if start is None else start
+        found = (self.base if start is None else start).copy()
         if change.mass_share:
-            found = found + change.mass_share * self.heavier
+            found += change.mass_share * self.heavier
         if change.payload_kg:
-            found = found + change.payload_kg * self._carried(change.payload_m)
+            found += change.payload_kg * self._carried(change.payload_m)
         if change.length_share:
-            found = found + self._stretched(change.length_share)
+            found += self._stretched(change.length_share)
         for axis, angle in change.tilts_rad:
-            found = found + angle * self.tilted(axis)
+            found += angle * self.tilted(axis)
         for part, share in change.part_shares:
-            found = found + share * self.part(part)
-        return found + self.late(change.late_s) if change.late_s else found
+            found += share * self.part(part)
+        if change.late_s:
+            found += self.late(change.late_s)
+        return found
 
     def _carried(self, at_m: Place) -> Array:
         """Return the change per kg of a payload, from the places of a lattice of second degree, [ROWS, M]."""
