@@ -24,6 +24,7 @@ SHARE_MIN = 0.1  # share of a residual that is visible, however small its energy
 SHARED_MIN = 0.1  # energy that two effects remove from a stage, at most, if they may replace each other there
 CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
 REFIT_MAX = 2  # effects of a set that is fitted from its own starts
+PREDICTED = 8  # effects of a set from which some are removed by their sensitivities, before each is left out in turn
 PURSUED, PURSUED_GAIN = 6, 0.05  # effects of a start that is far from nominal, and the least gain of each
 POLISH, SETTLED = 4, 0.005  # further descents of a backward search, and the relative gain that ends them
 
@@ -87,6 +88,7 @@ class Search:
         self._first: Mapping[str, float] = {}  # energies of the whole gap
         self._extended: dict[frozenset[str], list[Fit]] = {}  # base names -> fits with one more effect
         self._reduced: dict[tuple[tuple[str, ...], Coordinates], list[Fit]] = {}
+        self._fewer: list[Fit] = []  # fits without several effects at once
         self._settled: dict[str, tuple[float, ...]] = {}  # coordinates of the chosen effects
         self._work = Work(lambda text, share: None)
 
@@ -298,7 +300,7 @@ class Search:
     @property
     def fitted(self) -> list[Fit]:
         """Return every set that was fitted."""
-        return [f for fits in (*self._extended.values(), *self._reduced.values()) for f in fits]
+        return [f for fits in (*self._extended.values(), *self._reduced.values(), self._fewer) for f in fits]
 
     def reduced(self, fit: Fit) -> list[Fit]:
         """Fit a set without each of its effects."""
@@ -338,6 +340,9 @@ class Search:
         """Remove effects that the others do not need."""
         while len(fit.effects) > 1:
             self._begin_removal(fit)
+            if self.thresholds.approximate and len(fit.effects) > PREDICTED and (fewer := self._without_weakest(fit)):
+                fit = fewer
+                continue
             gains = [(self.gain(less, fit), less) for less in self.reduced(fit)]
             weak = [(g.value, less) for g, less in gains if self._is_weak(less, g)]
             if not weak:
@@ -345,6 +350,27 @@ class Search:
             weak.sort(key=lambda each: each[0])
             fit = self._without_half(fit, [less for _, less in weak]) or weak[0][1]
         return fit
+
+    def _without_weakest(self, fit: Fit) -> Fit | None:
+        """Return a fit without the half of the effects that matters least by its sensitivities, if it is unnecessary.
+
+        A quarter, and so on, is tried next; None if each of them is necessary.
+        """
+        prediction, kept, weakest = Prediction(self.problem, fit), [*range(len(fit.effects))], list[int]()
+        for _ in range(len(kept) // 2):
+            losses = [prediction.of([k for k in kept if k != i]).loss for i in kept]
+            weakest.append(kept.pop(int(np.argmin(losses))))
+        while weakest:
+            rest = [i for i in range(len(fit.effects)) if i not in weakest]
+            predicted = prediction.of(rest)
+            starts = [fit.only(rest), (predicted.effects, predicted.u)]
+            best = starts[int(np.argmin(self.problem.losses(starts)))]
+            (less,) = self.problem.fit([best], self.thresholds.search.rounds)
+            self._fewer.append(less)
+            if self._is_weak(less, self.gain(less, fit)):
+                return less
+            weakest = weakest[: len(weakest) // 2]
+        return None
 
     def _is_weak(self, less: Fit, gain: Gain) -> bool:
         """Return whether the effects that a fit lacks are unnecessary, by the gain with them."""

@@ -92,7 +92,9 @@ class _Waves(Gauge):
         return sum(point.get(path, 0.0) * shape for path, shape in zip(WAVES, shapes, strict=True))
 
 
-def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_the_cause(monkeypatch):
+@pytest.mark.parametrize("predicted", [8, 3], ids=["by fits", "by sensitivities"])
+def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_the_cause(predicted, monkeypatch):
+    monkeypatch.setattr("softarm.diagnosis.engine.search.PREDICTED", predicted)
     setup = Setup([_Waves()], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
     effects = tuple(candidate(path, -2.0, 2.0, 0.3, 0.3) for path in WAVES)
     search = Search(setup.weighed(), setup.plain(), ("stage",), effects, RIG)
@@ -103,6 +105,7 @@ def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_t
     left = search.pruned(fit)
     assert left.names in (("stage.wave0",), ("stage.wave1",))
     assert len(sizes) < 6  # one by one: eight, seven, ... two
+    assert max(sizes) <= predicted
     assert search.is_gain(search.gain(search.problem.fit([((), ())])[0], left))
 
 
