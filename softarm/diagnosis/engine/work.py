@@ -2,7 +2,7 @@
 
 Counts come before the search, from the numbers of effects and parameters alone, so that the same data have the same
 plan on every machine. The two constants were counted on simulated rigs. A healthy rig takes a tenth of its plan, one
-with an effect 0.4 to 2 times, and a real arm with many gaps 2.5 to 4.5 times.
+with an effect 0.4 to 2 times, and a real arm with many gaps 1.5 to 5 times.
 """
 
 from collections.abc import Callable
