@@ -15,7 +15,7 @@ from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP
 from softarm.diagnosis.rigs.settling import common_law, is_other_law
-from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine
+from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine, is_rated
 from softarm.diagnosis.rigs.tracking import velocity_warnings
 from softarm.diagnosis.rigs.whole import judged
 from softarm.schemas.verdict import Verdict, Where
@@ -63,9 +63,7 @@ def diagnose_table(
     return replace(
         assemble(_verdict(stages, answers, warnings), answers, trials, started),
         rivals=tuple(rival for s in stages for rival in s.rivals),
-        margins={
-            name: x for s in stages if s.decision.kind == "named" for name, x in margins(s.decision.selected).items()
-        },
+        margins={name: x for s in stages if is_rated(s.decision) for name, x in margins(s.decision.selected).items()},
         noise={s.answer.stage: s.noise for s in stages if s.noise},
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},

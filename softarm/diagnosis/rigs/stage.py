@@ -60,6 +60,8 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]]
 HALVINGS = 3
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
+# Names of one stage that may have a confidence; blind cases have no more faults at one stage.
+RATED_MOST = 2
 # Repeats of a search whose budget binds.
 RESTARTS_BOUND = 1
 _WEAK_HELD_OUT = {
@@ -231,6 +233,16 @@ def estimates(found: FittedChoice, fit: Fit, name: str) -> dict[str, Estimate]:
     return sizes
 
 
+def is_rated(decision: Decision) -> bool:
+    """Return whether the names of a stage may have a confidence.
+
+    Next to an unexplained residual any effect may stand in for its cause; how often is not measured. The same holds for
+    many names, and for those beside one that another set of as many effects replaces.
+    """
+    replaced = any(effect.exchangeable for effect in decision.selected)
+    return decision.kind == "named" and len(decision.selected) <= RATED_MOST and not replaced
+
+
 class _Stage:
     """Assembly of a stage's finding from the examination of its view."""
 
@@ -360,8 +372,7 @@ class _Stage:
         return NamedEffect(
             name=effect.candidate.name,
             parameters=estimates(self.fitted, self.fit, effect.candidate.name),
-            # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
-            confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
+            confidence=confidence("rig", effect) if is_rated(self.decision) else None,
             equivalents=self._same(effect)[1:],
             shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name])),
         )

@@ -21,7 +21,7 @@ from softarm.diagnosis.rigs.candidates import candidates
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.settling import settled
-from softarm.diagnosis.rigs.stage import Finding, view_of
+from softarm.diagnosis.rigs.stage import Finding, is_rated, view_of
 from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
@@ -166,6 +166,21 @@ def finding(stage, driven_by, *, kind="none", noise=False, confidence=None):
     return Finding(
         about, 0.0, "", decision, (), named, (), None, (), None, "kind", (), {}, (), frozenset(driven_by), {}
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "exchangeable", "rated"),
+    [
+        ("named", (False,), True),
+        ("named", (False, False), True),
+        ("named", (False, False, False), False),
+        ("named", (True, False), False),
+        ("incomplete", (False,), False),
+    ],
+)
+def test_more_names_than_blind_cases_have_and_replaceable_ones_are_not_rated(kind, exchangeable, rated):
+    selected = tuple(SimpleNamespace(exchangeable=each) for each in exchangeable)
+    assert is_rated(Decision(kind, selected, {}, 0.0)) == rated
 
 
 @pytest.mark.parametrize(
