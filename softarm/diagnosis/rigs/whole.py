@@ -68,7 +68,8 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
     """Return the effects of the whole to judge: effect and the part that has it -> the stages that it loads.
 
     An effect is judged if a stage shows it, that of a body also if a stage shows an effect that may be this one. The
-    mass of the last link differs from a payload by its inertia, which only the joint that moves nothing else shows.
+    mass of the last link differs from a payload by its inertia, which only the joint that moves nothing else shows. A
+    gap that no effect of its joint explains may be a load across the link, whose place all joints together show.
     """
     stages_of: dict[tuple[str, str], list[str]] = {}
     for stage in sorted(found):
@@ -84,7 +85,8 @@ def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:
             return any(f"{s}.mass" in shown for s in stages if _bodies(found[s]) == [effect])
         if any(f"{s}.{effect}" in shown for s in stages):
             return True
-        return adds_mass(effect) and not heavier.isdisjoint(stages)
+        across = effect == "payload" and any(found[s].decision.kind == "unknown" for s in stages)
+        return across or (adds_mass(effect) and not heavier.isdisjoint(stages))
 
     return {
         (effect, part): stages
@@ -101,11 +103,11 @@ def _bodies(finding: Finding) -> list[str]:
 def _speaks(finding: Finding, effect: str) -> bool:
     """Return whether a stage can show an effect of the whole mechanism, or that it is absent.
 
-    A gap without a cause hides both, unless the effect is a named one or as good. The cause may be a heavier body if no
-    effect is named and few were found; many would make the search long.
+    A gap without a cause hides both, unless the effect is a named one or as good. The cause may be a heavier body or a
+    payload if no effect is named and few were found; many would make the search long.
     """
     shows = f"{finding.answer.stage}.{effect}" in _names(finding)
-    few = effect.startswith(MASS) and not finding.named and len(finding.fitted) <= FEW
+    few = adds_mass(effect) and not finding.named and len(finding.fitted) <= FEW
     return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 

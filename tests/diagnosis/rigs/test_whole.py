@@ -107,6 +107,23 @@ def test_a_payload_beside_the_line_of_its_link_has_its_mass_and_place(tmp_path):
     assert link.place(at) == pytest.approx(place, abs=0.02)
 
 
+@pytest.mark.parametrize("found", [1, FEW + 1])
+def test_a_load_across_a_link_that_no_joint_alone_explains_is_found_by_all_together(tmp_path, found):
+    """A pole on a cart hangs at an angle. Where many effects were found, the search would take long."""
+    item, place = 0.1, np.array([0.2, 0.0, -0.2])
+    own = by_joint(tmp_path, "cartpole", Truth({}), item=("pole", place, item))
+    alone = shown(own, rail=("gain",), hinge=("spring",))
+    for stage, finding in alone.items():
+        finding.decision.kind, finding.is_unexplained, finding.named = "unknown", True, ()
+        finding.fitted = tuple(f"{stage}.effect{k}" for k in range(found))
+    judgements = judged(own, alone)
+    assert bool(judgements) == (found <= FEW)
+    for judgement in judgements:
+        assert sorted(judgement.held) == ["hinge", "rail"]
+        mass = judgement.held["hinge"].named.parameters["mass"]
+        assert 0 < mass.low < item < mass.high
+
+
 def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
     """Each joint alone takes it for another mass or length of all that it moves."""
     own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
@@ -241,9 +258,9 @@ def test_an_effect_that_one_joint_alone_shows_is_not_judged(loaded):
     assert list(judged(loaded, shown(loaded, pan=("damping",), tilt=("gain",)))) == []
 
 
-def diagnosed(folder, robot, truth):
+def diagnosed(folder, robot, truth, seconds=5.0):
     """Return the verdict on a recorded robot."""
-    return diagnose_table(tables.read(mechanism(folder, robot, truth))).verdict
+    return diagnose_table(tables.read(mechanism(folder, robot, truth, seconds))).verdict
 
 
 @pytest.mark.prove
@@ -259,3 +276,11 @@ def test_one_payload_is_named_at_every_joint_and_patched_once(tmp_path):
     assert any("pan, tilt: one payload explains the gap" in text for text in verdict.warnings)
     model = mujoco.MjModel.from_xml_string(patched(tmp_path / "robot.xml", verdict, calibration=True).text)
     assert model.body("camera_payload").mass[0] == pytest.approx(pan["mass"].value, rel=1e-5)
+
+
+@pytest.mark.prove
+def test_an_eccentric_encoder_gives_no_confident_name(tmp_path):
+    """A crank's reading is wrong by a sine of its angle; three effects of the joint explain it together."""
+    verdict = diagnosed(tmp_path, "linkage", Truth({"crank": JointLaw(bent=0.03)}), seconds=4.0)
+    assert len(verdict.effects) > 2
+    assert all(effect.confidence is None for effect in verdict.effects)
