@@ -18,6 +18,8 @@ from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Place, Slopes
 from softarm.diagnosis.rigs.mjcf.stepping import Stepping
 from softarm.diagnosis.rigs.motion import Motion, directions
 
+# Drives that are kept, and commands before them; each is as long as all recordings, in integration steps.
+KEPT = 20
 # Step of the numerical derivative by a window's start, in its uncertainty.
 NUDGED = 0.05
 # Whether dry friction lets the joint creep, as MuJoCo's does, 0 or 1.
@@ -71,7 +73,7 @@ class JointSimulation:
         self._inputs, self._each = inputs, each
         self._slopes, self._steps = slopes, steps
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
-        kept = lru_cache(64)
+        kept = lru_cache(KEPT)
         self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
 
     def start(self, seen: Array, edges: Sequence[NDArray[np.int64]], slow: float, at: Values, floor: float) -> None:
