@@ -24,7 +24,10 @@ def not_named(choice: Choice, decision: Decision) -> Iterator[str]:
         if effect in decision.unresolved:
             yield f"{effect.candidate.name} is not named: next to the named effects, the recordings do not resolve it"
         elif effect not in decision.selected:
-            yield f"{effect.candidate.name} is not named: it shrinks the gap, but leaves too much or is not steady"
+            yield (
+                f"{effect.candidate.name} is not named: it shrinks the fitted gap, but leaves too much, is not steady "
+                "or does not predict held-out data"
+            )
 
 
 def not_rated(decision: Decision) -> Iterator[str]:

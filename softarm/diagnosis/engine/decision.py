@@ -93,6 +93,20 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
     return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved, equals)
 
 
+def without(decision: Decision, dropped: SelectedEffect) -> Decision:
+    """Return a decision in which an effect is no cause; what it explains remains unexplained."""
+    selected = tuple(effect for effect in decision.selected if effect is not dropped)
+    left = _added(decision.unexplained, [dropped])
+    return Decision(
+        kind="incomplete" if selected else "unknown",
+        selected=selected,
+        unexplained=left,
+        explained=_share(selected, left),
+        structure=decision.structure,
+        unresolved=decision.unresolved,
+    )
+
+
 def _doubtful(
     selected: Sequence[SelectedEffect], unnamed: AbstractSet[str], choice: Choice, evidence: Evidence, t: Thresholds
 ) -> tuple[SelectedEffect, ...]:

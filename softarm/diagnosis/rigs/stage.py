@@ -17,7 +17,7 @@ from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.calibration import held_out_squares
 from softarm.diagnosis.engine.confidence import confidence
-from softarm.diagnosis.engine.decision import Decision, Kind
+from softarm.diagnosis.engine.decision import Decision, Kind, without
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.fitted import FittedChoice
@@ -265,17 +265,39 @@ class _Stage:
         """
         (self.view,) = cast("tuple[RigView]", fitted.setup.views)
         self.found, self.fitted, self.trials, self.known, self.data = found, fitted, trials, known, data
+        self._units = {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
         self.choice, self.decision = found.choice, found.decide(None, fitted.unresolved, bool(known))
+        self._predict()
+        while (dropped := self._unsupported()) is not None:
+            self.decision = without(self.decision, dropped)
+            self._predict()
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
             self.decision = replace(self.decision, kind=kind, noise=False)
-        self.fit = fitted.named(self.decision)
-        self._units = {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
-        self.calibrated = self._calibrated()
+        self.calibrated = self._calibrated(self.fit)
         self.best_fit = self._best_fit()
         self.nominal: Array = self.view.gap([self.view.original])[0].astype(float)
-        self.without = fitted.without_each(self.fit)
-        self.left_squares = squares_of(fitted, self.fit, self.view.stage)
+
+    def _predict(self) -> None:
+        """Predict the held-out data with the named effects, and without each of them."""
+        fitted, stage = self.fitted, self.view.stage
+        self.fit = fitted.named(self.decision)
+        self.left_squares, self.without = squares_of(fitted, self.fit, stage), fitted.without_each(self.fit)
+        self.squares_without = {name: squares_of(fitted, fit, stage) for name, fit in self.without.items()}
+
+    def _unsupported(self) -> SelectedEffect | None:
+        """Return the named effect with the smallest gain if the held-out gap is no smaller with it, calibrated or not.
+
+        The search compares effects beside all that it has chosen. Without those that are not named, one may enlarge
+        the gap. Beside a parameter that had replaced it, an effect shrinks the calibrated gap alone.
+        """
+        gains = {name: float(each.sum() - self.left_squares.sum()) for name, each in self.squares_without.items()}
+        least = min(self.decision.selected, key=lambda effect: gains[effect.candidate.name], default=None)
+        if least is None or gains[least.candidate.name] > 0:
+            return None
+        fits = self.fit, self.without[least.candidate.name]
+        left, without_it = (self._calibrated(fit).rms[self.view.stage] for fit in fits)
+        return least if left >= without_it else None
 
     def finding(self) -> Finding:
         """Return the complete finding."""
@@ -306,12 +328,12 @@ class _Stage:
     def _unit(self, path: str) -> str:
         return self._units.get(path, PURE)
 
-    def _calibrated(self) -> Calibrated:
-        """Return the calibration next to the named effects; a held effect keeps the size that all stages found."""
+    def _calibrated(self, fit: Fit) -> Calibrated:
+        """Return the calibration next to a fit; a held effect keeps the size that all stages found."""
         fitted, problem = self.fitted, self.fitted.verdict_problem
         free = np.array([path not in self.view.held for path in problem.nuisance_paths])
         problem = replace(problem, nuisance_low=problem.nuisance_low * free, nuisance_high=problem.nuisance_high * free)
-        return calibrated(fitted.setup, problem, fitted.plain, self.fit, self._unit)
+        return calibrated(fitted.setup, problem, fitted.plain, fit, self._unit)
 
     def _best_fit(self) -> BestFit | None:
         """Return the effects that predict whole recordings best, if the named ones leave a gap and predict less."""
@@ -342,7 +364,7 @@ class _Stage:
             overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
-            total_shrink=None if patched is None else self._shrink(fitted.nominal),
+            total_shrink=None if patched is None else self._shrink(squares_of(fitted, fitted.nominal, view.stage)),
         )
 
     def _floor(self) -> float:
@@ -360,9 +382,9 @@ class _Stage:
         """Return the noise floor as estimated from the signals, RMS."""
         return float(np.sqrt(np.mean(self.view.floor**2)))
 
-    def _shrink(self, less: Fit) -> Interval:
-        """Return the share of the held-out RMS that is lost with fewer effects."""
-        return share(*shrink.interval(squares_of(self.fitted, less, self.view.stage), self.left_squares))
+    def _shrink(self, before: Array) -> Interval:
+        """Return the share of the held-out RMS that the named effects remove; before: squares with fewer effects."""
+        return share(*shrink.interval(before, self.left_squares))
 
     def _rated(self, effect: NamedEffect) -> NamedEffect:
         """Return a known effect, without its confidence if the stage has a gap without a cause."""
@@ -374,7 +396,7 @@ class _Stage:
             parameters=estimates(self.fitted, self.fit, effect.candidate.name),
             confidence=confidence("rig", effect) if is_rated(self.decision) else None,
             equivalents=self._same(effect)[1:],
-            shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name])),
+            shrink=Shrink(stage=self._shrink(self.squares_without[effect.candidate.name])),
         )
 
     def _same(self, effect: SelectedEffect) -> tuple[str, ...]:

@@ -61,6 +61,10 @@ UNKNOWNS: Final[Mapping[str, Fault]] = {
     "cogging": Fault((), _changed(cogging=lambda s, x: 0.25 * x * s.torque)),
     "tiring": Fault((), _changed(tiring=lambda s, x: 0.9 * x), "driven"),
     "bent": Fault((), _changed(bent=lambda s, x: 0.05 * x * s.half)),
+    "slips": Fault((), _changed(slip=lambda s, x: 0.05 * x * s.half)),
+    "stopped": Fault((), _changed(stop=lambda s, x: x * s.torque)),
+    "shaken": Fault((), _changed(shaken=lambda s, x: 0.25 * x * s.torque)),
+    "elastic": Fault((), _changed(resonance_hz=lambda s, x: 4.0 / x), "follows"),
 }
 
 

@@ -36,6 +36,10 @@ class JointLaw:
     tiring: float = 0.0  # share of the torque that is lost within a minute
     uneven: float = 0.0  # more dry friction forwards, less backwards
     bent: float = 0.0  # amplitude of an encoder error with one period a turn
+    slip: float = 0.0  # jump of the encoder's zero within each recording
+    stop: float = 0.0  # torque of a soft stop at the lower end of the half range
+    shaken: float = 0.0  # amplitude of a vibration's torque
+    resonance_hz: float = 0.0  # of an elastic drive; 0 if it is rigid
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +99,10 @@ TURN = 2 * np.pi
 POINT_KG_M2 = 1e-9  # inertia of a point mass; MuJoCo refuses zero
 HEAVY = 1e7  # armature of a joint that is moved from outside
 STIFF_S = 4 * STEP_S  # time constant of an equality
+SHAKEN_HZ = 2.3  # frequency of a vibration
+SLIPS = 0.6  # share of a recording before the encoder slips
+STOPS = 0.3  # share of the half range before the soft stop
+RESONANT = 0.1  # damping ratio of an elastic drive
 FLIES_M, FLIES_RAD = 0.15, 0.2  # half ranges of a flying body, along and about each axis
 POSE_STEP_M, POSE_NOISE = 1e-4, 1e-4  # resolution of its position, and noise of its quaternion, by motion capture
 
@@ -238,8 +246,8 @@ class _Plant:
         drives = [_Drive(self, name, t, each) for name in (*robot.follows, *robot.pushed)]
         bend, count = np.zeros(n), len(t) // each
         halves = {**robot.follows, **robot.pushed}
-        ranges = [halves.get(robot.followers.get(name, name), 1.0) for name in self.names]
-        give = np.minimum(GIVE, GIVE_SHARE * np.array(ranges))
+        ranges = np.array([halves.get(robot.followers.get(name, name), 1.0) for name in self.names])
+        give, shake = np.minimum(GIVE, GIVE_SHARE * ranges), np.sin(TURN * SHAKEN_HZ * t)
         true, sent = np.empty((len(t), n)), {d.name: np.empty(count) for d in drives}
         carry = [self._carried(name, path) for name, path in carried.items()]
         for k in range(len(t)):
@@ -253,6 +261,8 @@ class _Plant:
             level = dry + law["uneven"] * np.sign(v)
             torque = -damping * v - law["spring"] * q + law["torque"]
             torque -= level / give * (bend + GRIP * STEP_S * v) - law["cogging"] * np.sin(8 * q)
+            beyond = np.maximum(-q / ranges - STOPS, 0)
+            torque += law["stop"] / (1 - STOPS) * beyond - law["shaken"] * shake[k]
             for drive in drives:
                 torque[drive.index] += drive.step(k, wanted[drive.name], q, v, sent)
             for i, _, _, force in carry:
@@ -275,7 +285,8 @@ class _Plant:
         if law.play:
             play = Play(np.asarray(law.play), q[0])
             q = np.array([play.step(x) for x in q])
-        return np.asarray(q + law.bent * np.sin(q))
+        slipped = np.arange(len(q)) > SLIPS * len(q)
+        return np.asarray(q + law.bent * np.sin(q) + law.slip * slipped)
 
 
 class _Flight:
@@ -346,6 +357,7 @@ class _Drive:
         self.filtered, self.command = 0.0, 0.0
         self.kept = np.exp(-STEP_S / self.law.lag_s) if self.law.lag_s else 0.0
         self.tired = 1 - self.law.tiring * t / 60.0
+        self.rate, self.swing = TURN * self.law.resonance_hz, 0.0  # rad/s; speed of the filtered command
 
     def step(self, k: int, wanted: Array, q: Array, v: Array, sent: Mapping[str, Array]) -> float:
         """Return the joint torque of a step; a new command is sent with every sample."""
@@ -361,7 +373,12 @@ class _Drive:
             sent[self.name][k // self.each] = self.command
         self.queue.append(self.command)
         late = self.queue.pop(0)
-        self.filtered = late + (self.filtered - late) * self.kept
+        if self.rate:
+            pull = self.rate * (late - self.filtered) - 2 * RESONANT * self.swing
+            self.swing += STEP_S * self.rate * pull
+            self.filtered += STEP_S * self.swing
+        else:
+            self.filtered = late + (self.filtered - late) * self.kept
         if not self.follows:
             torque = self.gear * self.filtered
         else:

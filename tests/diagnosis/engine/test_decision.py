@@ -8,7 +8,7 @@ import pytest
 from softarm.diagnosis.answer.rivals import not_rated
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
 from softarm.diagnosis.engine.confidence import confidence, frequency, margins
-from softarm.diagnosis.engine.decision import Evidence, decide, stage_of, stage_shares
+from softarm.diagnosis.engine.decision import Evidence, decide, stage_of, stage_shares, without
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.search import Choice, Gain, SelectedEffect
 from softarm.diagnosis.engine.structure import Structure
@@ -135,6 +135,16 @@ def test_the_energy_of_a_rejected_effect_counts_as_unexplained():
     )
     assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
     assert decision.unexplained["arm"] == pytest.approx(8.0 + 3.0)
+
+
+def test_the_energy_of_a_dropped_effect_counts_as_unexplained():
+    lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=9.0)
+    named = _decide(_choice({"pressure": 50.0, "arm": 10.0}, {"pressure": 1.0, "arm": 1.0}, lag, damping), {})
+    rest = without(named, damping)
+    assert (named.kind, rest.kind, _names(rest)) == ("named", "incomplete", ["pressure.lag"])
+    assert rest.unexplained["arm"] == pytest.approx(9.0)
+    assert rest.explained == pytest.approx(49.0 / 58.0)
+    assert (without(rest, lag).kind, without(rest, lag).explained) == ("unknown", 0.0)
 
 
 def test_shares_go_to_the_cause_not_to_where_it_is_seen():
