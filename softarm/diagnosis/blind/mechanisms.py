@@ -93,6 +93,14 @@ def joint_right(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | N
     return stage in {joint for cause in truth["causes"] for joint in cause["joints"]}
 
 
+def intervals(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, bool]:
+    """Return for each size that the truth states and the answer names whether the interval holds it."""
+    true = {path: size for cause in truth["causes"] for path, size in cause["sizes"].items()}
+    effects = answer["verdict"]["effects"] if answer["verdict"] else ()
+    named = {f"{e['name']}.{name}": each for e in effects for name, each in e["parameters"].items()}
+    return {path: each["low"] <= true[path] <= each["high"] for path, each in named.items() if path in true}
+
+
 def table(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> str:
     """Return outcomes by category as a table."""
     rows = [
@@ -149,6 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 raise TrialError(f"{given.folder}: contains no answers; use `run` first")
             seconds = [reply["seconds"] for _, reply in cases]
             print(table(cases), *wrong_lines(cases), sep="\n")
+            held = [each for truth, reply in cases for each in intervals(truth, reply).values()]
+            print(f"size intervals: {sum(held)} of {len(held)} hold the true size")
             print(f"processor time: median {median(seconds):.0f} s, worst {max(seconds):.0f} s")
     except (TrialError, JobsFailed, ClusterError) as error:
         raise SystemExit(f"error: {error}") from None

@@ -29,12 +29,22 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
+class Passive:
+    """Terms of one joint in its model."""
+
+    viscous: float
+    dry: float
+    armature: float
+
+
+@dataclass(frozen=True, slots=True)
 class Fault:
     """One fault of a joint: the names that are right, and its law at a strength of one."""
 
     names: tuple[str, ...]
     law: Callable[[JointLaw, Scale, float], JointLaw]
     needs: str = ""  # "follows", "driven" or "" for any joint
+    size: tuple[str, Callable[[JointLaw, Passive], float]] | None = None  # effect.parameter and its true value
 
 
 def _changed(**more: Callable[[Scale, float], float]) -> Callable[[JointLaw, Scale, float], JointLaw]:
@@ -42,20 +52,75 @@ def _changed(**more: Callable[[Scale, float], float]) -> Callable[[JointLaw, Sca
 
 
 FAULTS: Final[Mapping[str, Fault]] = {
-    "friction": Fault(("coulomb_friction",), _changed(more_dry=lambda s, x: 0.25 * x * s.torque)),
-    "damping": Fault(("damping",), _changed(more_viscous=lambda s, x: 0.3 * x * s.torque / s.speed)),
-    "rotor": Fault(("armature",), _changed(more_inertia=lambda s, x: 0.5 * x * s.inertia)),
-    "weak": Fault(("gain",), _changed(gain=lambda s, x: 1 - 0.3 * x), "driven"),
-    "soft": Fault(("position_gain",), _changed(stiff=lambda s, x: 1 - 0.4 * x), "follows"),
-    "late": Fault(("dead_time", "latency"), _changed(delay_s=lambda s, x: 0.05 * x), "driven"),
-    "slow": Fault(("lag",), _changed(lag_s=lambda s, x: 0.08 * x), "driven"),
-    "dead": Fault(("deadband",), _changed(dead=lambda s, x: 0.03 * x * s.half), "follows"),
-    "play": Fault(("backlash",), _changed(play=lambda s, x: 0.04 * x * s.half)),
-    "limit": Fault(("ceiling",), _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)), "driven"),
-    "spring": Fault(("spring",), _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half)),
+    "friction": Fault(
+        ("coulomb_friction",),
+        _changed(more_dry=lambda s, x: 0.25 * x * s.torque),
+        size=("coulomb_friction.torque", lambda law, model: law.dry * model.dry + law.more_dry),
+    ),
+    "damping": Fault(
+        ("damping",),
+        _changed(more_viscous=lambda s, x: 0.3 * x * s.torque / s.speed),
+        size=("damping.viscous", lambda law, model: law.viscous * model.viscous + law.more_viscous),
+    ),
+    "rotor": Fault(
+        ("armature",),
+        _changed(more_inertia=lambda s, x: 0.5 * x * s.inertia),
+        size=("armature.inertia", lambda law, model: law.armature * model.armature + law.more_inertia),
+    ),
+    "weak": Fault(
+        ("gain",),
+        _changed(gain=lambda s, x: 1 - 0.3 * x),
+        "driven",
+        ("gain.scale", lambda law, model: law.gain - 1),
+    ),
+    "soft": Fault(
+        ("position_gain",),
+        _changed(stiff=lambda s, x: 1 - 0.4 * x),
+        "follows",
+        ("position_gain.scale", lambda law, model: law.stiff - 1),
+    ),
+    "late": Fault(
+        ("dead_time", "latency"),
+        _changed(delay_s=lambda s, x: 0.05 * x),
+        "driven",
+        ("dead_time.delay", lambda law, model: law.delay_s),
+    ),
+    "slow": Fault(
+        ("lag",),
+        _changed(lag_s=lambda s, x: 0.08 * x),
+        "driven",
+        ("lag.time", lambda law, model: law.lag_s),
+    ),
+    "dead": Fault(
+        ("deadband",),
+        _changed(dead=lambda s, x: 0.03 * x * s.half),
+        "follows",
+        ("deadband.width", lambda law, model: law.dead),
+    ),
+    "play": Fault(
+        ("backlash",),
+        _changed(play=lambda s, x: 0.04 * x * s.half),
+        size=("backlash.gap", lambda law, model: law.play),
+    ),
+    "limit": Fault(
+        ("ceiling",),
+        _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)),
+        "driven",
+        ("ceiling.limit", lambda law, model: law.limit),
+    ),
+    "spring": Fault(
+        ("spring",),
+        _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half),
+        size=("spring.stiffness", lambda law, model: law.spring),
+    ),
     # More friction one way than the other is friction and a constant torque.
     "uneven": Fault(("torque_offset", "command_bias"), _changed(uneven=lambda s, x: 0.25 * x * s.torque), "driven"),
-    "pull": Fault(("torque_offset", "command_bias"), _changed(torque=lambda s, x: 0.3 * x * s.torque), "driven"),
+    "pull": Fault(
+        ("torque_offset", "command_bias"),
+        _changed(torque=lambda s, x: 0.3 * x * s.torque),
+        "driven",
+        ("torque_offset.torque", lambda law, model: law.torque),
+    ),
 }
 UNKNOWNS: Final[Mapping[str, Fault]] = {
     "cogging": Fault((), _changed(cogging=lambda s, x: 0.25 * x * s.torque)),
@@ -131,14 +196,15 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
         fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
         key = str(random.choice(fits))
         laws[joint] = table[key].law(laws[joint], scales[joint], strength * random.uniform(0.8, 1.25))
-        causes.append({"fault": key, "joints": [joint], "names": list(table[key].names)})
+        sizes = sizes_of(robot, joint, table[key], laws[joint])
+        causes.append({"fault": key, "joints": [joint], "names": list(table[key].names), "sizes": sizes})
     truth = Truth(laws, masses)
     if category == "whole":
         several = any(len(joints) > 1 for _, joints, _ in _bodies(robot))
         key = str(random.choice([key for key in WHOLE if several or key != "heavier"]))
         fault = WHOLE[key](robot, truth, random)
         truth = fault.truth
-        causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names)})
+        causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names), "sizes": {}})
     place = folder / "data" / name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):
@@ -148,6 +214,19 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     about: dict[str, Any] = {"case": name, "robot": robot.name, "category": category, "causes": causes}
     (folder / "truths").mkdir(exist_ok=True)
     (folder / "truths" / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def sizes_of(robot: Robot, joint: str, fault: Fault, law: JointLaw) -> dict[str, float]:
+    """Return the true size of a fault, by joint.effect.parameter; none of a joint with followers, which add theirs."""
+    import mujoco
+
+    if fault.size is None or joint in robot.followers.values():
+        return {}
+    path, value = fault.size
+    model = mujoco.MjModel.from_xml_path(str(robot.model))
+    dof = model.joint(joint).dofadr[0]
+    passive = Passive(*(float(x[dof]) for x in (model.dof_damping, model.dof_frictionloss, model.dof_armature)))
+    return {f"{joint}.{path}": value(law, passive)}
 
 
 def stage_text(robot: Robot) -> str:

@@ -52,6 +52,17 @@ def test_the_right_joint_is_the_one_with_a_known_cause():
     assert mechanisms.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None
 
 
+@pytest.mark.parametrize(("low", "held"), [(0.2, [True]), (0.35, [False])])
+def test_an_interval_is_compared_with_the_true_size(low, held):
+    reply = answer(["elbow.coulomb_friction"], ["wrist.damping"])
+    sizes = [{"torque": {"low": low, "high": 0.4}, "give": {"low": 0, "high": 1}}, {"viscous": {"low": 0, "high": 1}}]
+    for effect, parameters in zip(reply["verdict"]["effects"], sizes, strict=True):
+        effect["parameters"] = parameters
+    truth = {"causes": [FRICTION | {"sizes": {"elbow.coulomb_friction.torque": 0.3}}]}
+    assert [*mechanisms.intervals(truth, reply).values()] == held
+    assert mechanisms.intervals(truth, {"verdict": None}) == {}
+
+
 def test_all_cases_may_be_of_one_category(tmp_path, monkeypatch, capsys):
     drawn = []
     monkeypatch.setattr(mechanisms, "draw_and_write", lambda *case: drawn.append(case[1:]))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.reality.mechanisms import cases
-from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of
+from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of, sizes_of
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
 
 HEALTHY = Truth({})
@@ -55,6 +55,25 @@ def test_every_fault_changes_the_recording(name, healthy, scale):
 
 
 @pytest.mark.parametrize(
+    ("name", "law", "path", "expected"),
+    [
+        ("friction", JointLaw(dry=1.5, more_dry=0.1), "coulomb_friction.torque", 0.1225),
+        ("rotor", JointLaw(armature=2.0, more_inertia=0.01), "armature.inertia", 0.018),
+        ("weak", JointLaw(gain=0.7), "gain.scale", -0.3),
+        ("soft", JointLaw(stiff=0.6), "position_gain.scale", -0.4),
+        ("late", JointLaw(delay_s=0.05), "dead_time.delay", 0.05),
+    ],
+)
+def test_the_true_size_of_a_fault_includes_the_model_s_own(name, law, path, expected):
+    found = sizes_of(ROBOTS["camera"], "tilt", FAULTS[name], law)
+    assert found == {f"tilt.{path}": pytest.approx(expected)}
+
+
+def test_the_size_of_a_joint_with_followers_is_not_stated():
+    assert sizes_of(ROBOTS["linkage"], "crank", FAULTS["friction"], JointLaw(more_dry=0.1)) == {}
+
+
+@pytest.mark.parametrize(
     ("name", "joint"), [("tilted", "pan"), ("loaded", "tilt"), ("beside", "tilt"), ("heavier", "tilt")]
 )
 def test_every_fault_of_the_whole_mechanism_changes_a_joint(name, joint, healthy):
@@ -98,6 +117,7 @@ def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
     ]  # fmt: skip
     causes = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
     assert len({joint for cause in causes for joint in cause["joints"]}) == 2
+    assert all(path.split(".")[0] in cause["joints"] for cause in causes for path in cause["sizes"])
 
 
 def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypatch):
