@@ -129,7 +129,7 @@ def _lag(tag: str, time_s: float) -> dict[str, str]:
     if tag in ("position", "cylinder"):
         return {"timeconst": _short(time_s)}
     if tag in ("motor", "general"):
-        own = {"gainprm": "1"} if tag == "motor" else {}
+        own = {"gaintype": "fixed", "gainprm": "1", "biastype": "none"} if tag == "motor" else {}
         return own | {"dyntype": "filterexact", "dynprm": _short(time_s)}
     return {}
 

@@ -91,6 +91,14 @@ def test_a_gain_and_a_lag_are_written_for_each_kind_of_actuator(tmp_path, actuat
         assert after.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
+def test_a_motor_with_a_lag_takes_no_position_loop_from_its_defaults(tmp_path):
+    file, motor = tmp_path / "arm.xml", '<motor name="m" joint="elbow"/>'
+    file.write_text(ACTUATED.format('<default><position kp="50" kv="2"/></default>', motor))
+    after = read(patch.patched(file, verdict([("elbow.lag.time", 0.1, "s")]), calibration=True), tmp_path)
+    assert after.actuator_biastype[0] == int(mujoco.mjtBias.mjBIAS_NONE)
+    assert after.actuator_gainprm[0, 0] == 1
+
+
 def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ACTUATED.format('<compiler autolimits="false"/>', '<motor name="m" joint="elbow"/>'))
