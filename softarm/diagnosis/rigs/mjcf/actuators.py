@@ -33,6 +33,7 @@ class Actuator:
     delay_s: float = 0.0
     gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
     own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
+    joint_limited: bool = False  # by `actuatorfrcrange` of its joint, besides its own range
 
     def torque(self, command: Array, position: Array, speed: Array) -> Array:
         """Return the joint torque at each sample, [T each]."""
@@ -126,4 +127,5 @@ class Actuators:
             delay_s=0.0 if delay is None else float(delay[i]),
             gear=gear,
             own_gear=own_gear,
+            joint_limited=bool(m.jnt_actfrclimited[number]),
         )

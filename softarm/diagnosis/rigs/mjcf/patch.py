@@ -5,6 +5,7 @@ MuJoCo makes of it.
 """
 
 import difflib
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -109,19 +110,28 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     element = edits.actuator(actuator.name, joint.name) if actuator else None
     if actuator is None or element is None:
         return False
+    factor, stiffer = (1 + found.get(f"{joint.name}.{name}.scale", 0.0) for name in ("gain", "position_gain"))
+    gear = actuator.gear * (factor if element.tag == "motor" else 1.0)
     if parameter == "ceiling.limit":
-        limit = value / abs(actuator.gear)  # of the actuator, before its gear
-        changes = {"forcelimited": "true", "forcerange": f"{_short(-limit)} {_short(limit)}"}
+        changes = _limited(-value, value, gear)
+        if actuator.joint_limited:
+            edits.set(_Element("joint", joint.name), "actuatorfrcrange", _numbers((-value, value)))
     elif parameter == "lag.time":
         changes = _lag(element.tag, value)
     elif parameter in ("gain.scale", "position_gain.scale"):
-        factor, stiffer = (1 + found.get(f"{joint.name}.{name}.scale", 0.0) for name in ("gain", "position_gain"))
         changes = _gains(element.tag, actuator, factor, factor * stiffer)
+        if element.tag == "motor" and math.isfinite(actuator.high) and f"{joint.name}.ceiling.limit" not in found:
+            changes |= _limited(actuator.low, actuator.high, gear)
     else:
         return False
     if element.tag == "motor" and "gainprm" in changes:
         element = edits.rename(element, "general")
     return bool(changes) and all(edits.set(element, attribute, text) for attribute, text in changes.items())
+
+
+def _limited(low: float, high: float, gear: float) -> dict[str, str]:
+    """Return the attributes of an actuator whose joint torque is limited, by its gear."""
+    return {"forcelimited": "true", "forcerange": _numbers(sorted((low / gear, high / gear)))}
 
 
 def _lag(tag: str, time_s: float) -> dict[str, str]:

@@ -107,6 +107,34 @@ def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
     assert after.actuator_forcerange[0].tolist() == [-2, 2]
 
 
+LIMIT = ("elbow.ceiling.limit", 2.0, "N m")
+
+
+@pytest.mark.parametrize(
+    ("actuator", "changes", "force"),
+    [
+        ('<motor joint="elbow" gear="-4"/>', [LIMIT], 0.5),
+        ('<motor joint="elbow" gear="4"/>', [LIMIT, *SLOWER], 1),
+        ('<motor joint="elbow" gear="4" forcerange="-3 3"/>', SLOWER, 6),
+        ('<position joint="elbow" kp="10" forcerange="-3 3"/>', SLOWER, 3),
+        ('<position joint="elbow" kp="10" gear="2" forcerange="-3 3"/>', [LIMIT, *SLOWER], 1),
+    ],
+)
+def test_a_gain_leaves_the_limit_of_the_joint_s_torque(tmp_path, actuator, changes, force):
+    """The gear of a motor with another gain changes what its own limit means at the joint."""
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format("", actuator))
+    after = read(patch.patched(file, verdict(changes), calibration=True), tmp_path)
+    assert after.actuator_forcerange[0].tolist() == [-force, force]
+
+
+def test_a_ceiling_above_the_limit_of_the_joint_raises_it(tmp_path):
+    file, robot = tmp_path / "arm.xml", ACTUATED.format("", '<position joint="elbow" kp="10"/>')
+    file.write_text(robot.replace('name="elbow"', 'name="elbow" actuatorfrcrange="-1 1"'))
+    after = read(patch.patched(file, verdict([LIMIT]), calibration=True), tmp_path)
+    assert after.jnt_actfrcrange[0].tolist() == after.actuator_forcerange[0].tolist() == [-2, 2]
+
+
 @pytest.mark.parametrize("include", [True, False], ids=["include", "comment"])
 def test_a_file_that_cannot_be_edited_is_replaced_by_one_of_mujoco(tmp_path, include):
     """One that includes another file, and one with a comment that only MuJoCo reads."""
