@@ -148,6 +148,12 @@ class Mechanism:
             return None
         return Inertial(float(m.body_mass[body]), m.body_ipos[body], m.body_iquat[body], m.body_inertia[body])
 
+    def with_damping_ratio(self) -> list[Joint]:
+        """Return the joints whose position loop has a damper that MuJoCo computes from the inertia (`dampratio`)."""
+        spec = self._mujoco.MjSpec.from_file(str(self.path))
+        names = {self._name("actuator", i) for i, each in enumerate(spec.actuators) if each.biasprm[2] > 0}
+        return [each for each in self.joints.values() if each.actuator and each.actuator.name in names]
+
     def joint(self, name: str) -> Joint:
         """Return a joint; raise TrialError with the known names if there is none."""
         if "." in name:

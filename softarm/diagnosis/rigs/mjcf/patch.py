@@ -91,6 +91,10 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     for name in sorted(rubbing.difference(verdict.creeping)):
         edits.set(_Element("joint", name), "solimpfriction", _HOLDS)
     left_out += _write_bodies(edits, model, shares, payloads)
+    if shares or payloads or any(place.endswith(".armature.inertia") for place in found):
+        for joint in model.with_damping_ratio():  # else MuJoCo computes other dampers from the new inertia
+            if not _written(edits, joint, "gain.scale", 0.0, found):
+                left_out.append(f"the damper of {joint.name} as it was: its dampratio gives another one now")
     if tilts:
         edits.set_option("gravity", _numbers(_tilted(model, tilts)))
     after = edits.text

@@ -1,10 +1,17 @@
 """The patched MJCF: only the named attributes change, and MuJoCo reads the new numbers."""
 
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from softarm.diagnosis.rigs.mjcf import patch
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.verdicts import with_parameters as verdict
 
@@ -91,14 +98,6 @@ def test_a_gain_and_a_lag_are_written_for_each_kind_of_actuator(tmp_path, actuat
         assert after.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
-def test_a_motor_with_a_lag_takes_no_position_loop_from_its_defaults(tmp_path):
-    file, motor = tmp_path / "arm.xml", '<motor name="m" joint="elbow"/>'
-    file.write_text(ACTUATED.format('<default><position kp="50" kv="2"/></default>', motor))
-    after = read(patch.patched(file, verdict([("elbow.lag.time", 0.1, "s")]), calibration=True), tmp_path)
-    assert after.actuator_biastype[0] == int(mujoco.mjtBias.mjBIAS_NONE)
-    assert after.actuator_gainprm[0, 0] == 1
-
-
 def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ACTUATED.format('<compiler autolimits="false"/>', '<motor name="m" joint="elbow"/>'))
@@ -107,32 +106,82 @@ def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
     assert after.actuator_forcerange[0].tolist() == [-2, 2]
 
 
-LIMIT = ("elbow.ceiling.limit", 2.0, "N m")
-
-
-@pytest.mark.parametrize(
-    ("actuator", "changes", "force"),
-    [
-        ('<motor joint="elbow" gear="-4"/>', [LIMIT], 0.5),
-        ('<motor joint="elbow" gear="4"/>', [LIMIT, *SLOWER], 1),
-        ('<motor joint="elbow" gear="4" forcerange="-3 3"/>', SLOWER, 6),
-        ('<position joint="elbow" kp="10" forcerange="-3 3"/>', SLOWER, 3),
-        ('<position joint="elbow" kp="10" gear="2" forcerange="-3 3"/>', [LIMIT, *SLOWER], 1),
-    ],
+DEFAULTS = (
+    "",
+    '<default><position kp="50" kv="2" timeconst="0.2"/></default>',
+    '<default><position kp="50" dampratio="1" forcerange="-9 9"/></default>',
+    '<default><general gainprm="7" biastype="affine" biasprm="1 -7 -1"/></default>',
+    '<default><joint damping="0.3" frictionloss="0.1" armature="0.02" stiffness="0.4"/></default>',
+    '<default><motor gear="3" forcerange="-8 8"/><joint actuatorfrcrange="-7 7"/></default>',
 )
-def test_a_gain_leaves_the_limit_of_the_joint_s_torque(tmp_path, actuator, changes, force):
-    """The gear of a motor with another gain changes what its own limit means at the joint."""
-    file = tmp_path / "arm.xml"
-    file.write_text(ACTUATED.format("", actuator))
-    after = read(patch.patched(file, verdict(changes), calibration=True), tmp_path)
-    assert after.actuator_forcerange[0].tolist() == [-force, force]
+ACTUATORS = (
+    '<motor joint="elbow"{}/>',
+    '<position name="m" joint="elbow"{}/>',
+    '<position joint="elbow" kp="10" kv="1" timeconst="0.05"{}/>',
+    '<position joint="elbow" kp="10" dampratio="1"{}/>',
+    '<velocity joint="elbow" kv="3"{}/>',
+    '<general joint="elbow" gainprm="10" biastype="affine" biasprm="3 -10 -2"{}/>',
+    '<general name="m" joint="elbow"{}/>',
+)
+FURTHER = "", ' gear="2"', ' gear="-3"', ' gear="2" forcerange="-4 6"'
+SIZES = {
+    "gain.scale": (-0.8, 1.0, "-"),
+    "position_gain.scale": (-0.8, 1.0, "-"),
+    "lag.time": (0.02, 0.2, "s"),
+    "ceiling.limit": (1.0, 10.0, "N m"),
+    "damping.viscous": (0.0, 1.0, "N m s/rad"),
+    "coulomb_friction.torque": (0.0, 1.0, "N m"),
+    "armature.inertia": (0.0, 0.1, "kg m^2"),
+    "spring.stiffness": (0.0, 2.0, "N m/rad"),
+}
+ONE = st.sampled_from
 
 
-def test_a_ceiling_above_the_limit_of_the_joint_raises_it(tmp_path):
-    file, robot = tmp_path / "arm.xml", ACTUATED.format("", '<position joint="elbow" kp="10"/>')
-    file.write_text(robot.replace('name="elbow"', 'name="elbow" actuatorfrcrange="-1 1"'))
-    after = read(patch.patched(file, verdict([LIMIT]), calibration=True), tmp_path)
-    assert after.jnt_actfrcrange[0].tolist() == after.actuator_forcerange[0].tolist() == [-2, 2]
+@given(
+    ONE(DEFAULTS),
+    ONE(ACTUATORS),
+    ONE(FURTHER),
+    st.fixed_dictionaries({}, optional={path: st.floats(low, high) for path, (low, high, _) in SIZES.items()}),
+)
+@example(DEFAULTS[1], ACTUATORS[0], "", {"lag.time": 0.1})  # took the position loop of its defaults
+@example("", ACTUATORS[0], FURTHER[3], {"gain.scale": -0.5})  # its gear changed what its limit means at the joint
+@example(DEFAULTS[5], ACTUATORS[2], "", {"ceiling.limit": 8.0})  # ended at the lower limit of the joint
+@example("", ACTUATORS[3], "", {"armature.inertia": 0.1})  # MuJoCo computed another damper from the inertia
+def test_a_patched_model_has_the_parameters_that_were_found(defaults, actuator, further, sizes):
+    with tempfile.TemporaryDirectory() as folder:
+        file, patched = Path(folder) / "arm.xml", Path(folder) / "patched.xml"
+        file.write_text(ACTUATED.format(defaults, actuator.format(further)))
+        before = Mechanism(file).joint("elbow")
+        if not before.actuator.kp:
+            sizes.pop("position_gain.scale", None)
+        if "velocity" in actuator:
+            sizes.pop("lag.time", None)
+        changes = [(f"elbow.{path}", size, SIZES[path][2]) for path, size in sizes.items()]
+        found = patch.patched(file, verdict(changes), calibration=True)
+        patched.write_text(found.text if changes else file.read_text())
+        after = Mechanism(patched).joint("elbow")
+    factor, stiffer, limit = (sizes.get(path) for path in ("gain.scale", "position_gain.scale", "ceiling.limit"))
+    factor, old = 1 + (factor or 0.0), before.actuator
+    stiff = factor * (1 + (stiffer or 0.0))
+    own = replace(
+        old,
+        scale=stiff * old.scale,
+        offset=stiff * old.offset,
+        kp=stiff * old.kp,
+        kd=factor * old.kd,
+        low=-limit if limit else old.low,
+        high=limit or old.high,
+        lag_s=sizes.get("lag.time", old.lag_s),
+    )
+    for name in ("scale", "offset", "kp", "kd", "low", "high", "lag_s"):
+        assert getattr(after.actuator, name) == pytest.approx(getattr(own, name), rel=1e-4, abs=1e-9), name
+    for name, path in (
+        ("viscous", "damping.viscous"),
+        ("dry", "coulomb_friction.torque"),
+        ("armature", "armature.inertia"),
+        ("spring", "spring.stiffness"),
+    ):
+        assert getattr(after, name) == pytest.approx(sizes.get(path, getattr(before, name)), rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("include", [True, False], ids=["include", "comment"])
