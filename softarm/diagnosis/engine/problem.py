@@ -18,6 +18,7 @@ from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, b
 BLOCK_LOSS = 6.0
 TRIALS_MOST = 6  # largest number of folds of whole trials; neighbouring trials share a fold
 STRETCHES = 5  # folds of a single trial
+FAR = 0.2  # share of its box by which a nuisance is moved before its slope is taken up to there
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class Setup:
         kinds: Sequence[str],
         origins: Sequence[int] | None = None,
         block_s: float = BLOCK_S,
+        around: Fit | None = None,
     ) -> None:
         """Prepare the problem.
 
@@ -47,12 +49,14 @@ class Setup:
             kinds: excitation of each trial of the views.
             origins: recording that each trial was cut from; by default each trial is one recording.
             block_s: length of a block that counts as independent, in the views' own time.
+            around: fit around whose effects the nuisances act linearly, by default the nominal model. Those that it has
+                moved far have the slope up to there; damping that vanishes acts otherwise than damping that grows.
         """
         self.block_s = block_s
         self.views, self.nuisances, self.kinds = tuple(views), tuple(nuisances), tuple(kinds)
         self.gaps = tuple(Gaps(view) for view in views)
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
-        self.directions = tuple(self._directions(g) for g in self.gaps)
+        self.directions = tuple(self._directions(g, around) for g in self.gaps)
         self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, block_s)))
         self.origins = tuple(range(len(kinds)) if origins is None else origins)
         self.fold, self.held_out = folds(self.blocks, kinds, self.origins), held_out(kinds, self.origins)
@@ -133,12 +137,18 @@ class Setup:
             )
         return FitProblem(tuple(whitened), self._paths, self._low, self._high, self.blocks, self.fold)
 
-    def _directions(self, gaps: Gaps) -> Directions:
-        view = gaps.view
-        points = [{}, *(n.point for n in self.nuisances)]
-        found = gaps.fetch(points)
-        base = found[()]
-        columns = [found[gaps.key(p)] - base for p in points[1:]]
+    def _directions(self, gaps: Gaps, around: Fit | None) -> Directions:
+        view, at, shares = gaps.view, {} if around is None else around.point, np.ones(len(self.nuisances))
+        if around is not None:
+            fitted = around.nuisance[: len(shares)]
+            shares = np.where(np.abs(fitted) > FAR, fitted, shares)
+        points = [
+            {n.path: n.nominal + float(share) * (n.edge - n.nominal), **at}
+            for n, share in zip(self.nuisances, shares, strict=True)
+        ]
+        found = gaps.fetch([at, *points])
+        base = found[gaps.key(at)]
+        columns = [(found[gaps.key(p)] - base) / np.float32(x) for p, x in zip(points, shares, strict=True)]
         columns += [np.zeros_like(base)] * len(self._own)
         starts = view.start_directions()
         if view.own_nuisances:

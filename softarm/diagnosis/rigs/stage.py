@@ -271,6 +271,10 @@ class _Stage:
         while (dropped := self._unsupported()) is not None:
             self.decision = without(self.decision, dropped)
             self._predict()
+        if self.decision.selected:  # beside a large effect, the model's parameters act differently
+            setup = fitted.setup
+            self.fitted = fitted.on(setup_of(self.view, setup.kinds, setup.origins, self.fit))
+            self._predict()
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"
             self.decision = replace(self.decision, kind=kind, noise=False)

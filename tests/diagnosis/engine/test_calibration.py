@@ -1,6 +1,6 @@
 """Calibration: resolved parameters come back with their share of the gap; the others stay nominal."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from softarm.diagnosis.answer.calibration import WORTH, calibrated
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
-from tests.diagnosis.engine.gauge import Gauge
+from tests.diagnosis.engine.gauge import Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 SCALE, BIAS, SLOPE = "stage.gain.scale", "stage.zero.bias", "stage.drift.slope"
@@ -94,3 +94,23 @@ def test_no_parameter_enlarges_the_gap_once_the_others_are_fitted_again():
     """At seed 19, a parameter takes less once another one, which took too little, is nominal again."""
     for seed, drift in ((19, 0.02), (19, 0.03), (3, 0.01)):
         assert all(each.shrink >= WORTH for each in calibration({SCALE: 1.03}, seed, drift=drift).parameters)
+
+
+class _Amplifier(_Gauge):
+    """A gauge whose bias is scaled with its input, and bends a little."""
+
+    def _predict(self, point):
+        at = NOMINAL | dict(point)
+        return at[SCALE] * (self.inputs + at[BIAS] + at[BIAS] ** 2)
+
+
+@pytest.mark.parametrize(("share", "slope"), [(0.1, 1.5), (-0.8, 0.6)])
+def test_beside_an_effect_a_nuisance_acts_as_it_does_there(share, slope):
+    """Its slope is the one to the edge of its box, or to its own value if that is far from nominal."""
+    gauge, kinds = _Amplifier({}), ("sine", "square", "decay")
+    (nothing,) = Setup([gauge], NUISANCES, kinds).plain().fit([((), ())])
+    effect = candidate(SCALE, 0.5, 5.0, 0.5, 1.5, nominal=1.0)
+    fit = replace(nothing, effects=(effect,), u=((3.0,),), nuisance=np.array([0.0, share, 0.0]))
+    changes = Setup([gauge], NUISANCES, kinds, around=fit).directions[0].nuisances
+    assert changes[1] == pytest.approx(np.full_like(changes[1], -3 * 0.5 * slope), rel=1e-4)
+    assert not changes[0].any()  # the scale itself is the effect's

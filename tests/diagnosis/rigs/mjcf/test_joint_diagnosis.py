@@ -15,13 +15,13 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.diagnosis.data import tables
-from softarm.diagnosis.data.trials import Series
+from softarm.diagnosis.data.trials import Series, stage_of
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.rigs.candidates import candidates
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.settling import settled
-from softarm.diagnosis.rigs.stage import Finding, is_rated, view_of
+from softarm.diagnosis.rigs.stage import Finding, examine, is_rated, view_of
 from softarm.diagnosis.rigs.subsample import cut
 from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
@@ -487,3 +487,13 @@ def test_an_effect_that_enlarges_the_held_out_gap_is_not_named(tmp_path):
     stage = mechanism(tmp_path, "linkage", Truth({"crank": JointLaw(stop=0.19)}))
     verdict = diagnose_table(tables.read(stage)).verdict
     assert (verdict.verdict, verdict.effects) == ("unknown", ())
+
+
+@pytest.mark.prove
+def test_an_interval_allows_for_errors_of_the_model_beside_a_large_effect(tmp_path):
+    """With half the stiffness, the errors of gain, damper and rotor act otherwise than in the model."""
+    law = JointLaw(stiff=0.5, gain=0.985, viscous=1.015, armature=0.985)
+    trials = tables.read(mechanism(tmp_path, "gripper", Truth({"wrist": law}), seconds=6.0))
+    (named,) = examine([trial for trial in trials if stage_of([trial]).name == "wrist"]).named
+    assert named.name == "wrist.position_gain"
+    assert named.parameters["scale"].low < law.stiff - 1 < named.parameters["scale"].high
