@@ -104,7 +104,7 @@ class _Amplifier(_Gauge):
         return at[SCALE] * (self.inputs + at[BIAS] + at[BIAS] ** 2)
 
 
-@pytest.mark.parametrize(("share", "slope"), [(0.1, 1.5), (-0.8, 0.6)])
+@pytest.mark.parametrize(("share", "slope"), [(0.15, 1.5), (-0.3, 0.85)])
 def test_beside_an_effect_a_nuisance_acts_as_it_does_there(share, slope):
     """Its slope is the one to the edge of its box, or to its own value if that is far from nominal."""
     gauge, kinds = _Amplifier({}), ("sine", "square", "decay")
