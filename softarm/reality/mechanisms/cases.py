@@ -44,7 +44,6 @@ class Fault:
     names: tuple[str, ...]
     law: Callable[[JointLaw, Scale, float], JointLaw]
     needs: str = ""  # "follows", "driven" or "" for any joint
-    size: tuple[str, Callable[[JointLaw, Passive], float]] | None = None  # effect.parameter and its true value
 
 
 def _changed(**more: Callable[[Scale, float], float]) -> Callable[[JointLaw, Scale, float], JointLaw]:
@@ -52,75 +51,35 @@ def _changed(**more: Callable[[Scale, float], float]) -> Callable[[JointLaw, Sca
 
 
 FAULTS: Final[Mapping[str, Fault]] = {
-    "friction": Fault(
-        ("coulomb_friction",),
-        _changed(more_dry=lambda s, x: 0.25 * x * s.torque),
-        size=("coulomb_friction.torque", lambda law, model: law.dry * model.dry + law.more_dry),
-    ),
-    "damping": Fault(
-        ("damping",),
-        _changed(more_viscous=lambda s, x: 0.3 * x * s.torque / s.speed),
-        size=("damping.viscous", lambda law, model: law.viscous * model.viscous + law.more_viscous),
-    ),
-    "rotor": Fault(
-        ("armature",),
-        _changed(more_inertia=lambda s, x: 0.5 * x * s.inertia),
-        size=("armature.inertia", lambda law, model: law.armature * model.armature + law.more_inertia),
-    ),
-    "weak": Fault(
-        ("gain",),
-        _changed(gain=lambda s, x: 1 - 0.3 * x),
-        "driven",
-        ("gain.scale", lambda law, model: law.gain - 1),
-    ),
-    "soft": Fault(
-        ("position_gain",),
-        _changed(stiff=lambda s, x: 1 - 0.4 * x),
-        "follows",
-        ("position_gain.scale", lambda law, model: law.stiff - 1),
-    ),
-    "late": Fault(
-        ("dead_time", "latency"),
-        _changed(delay_s=lambda s, x: 0.05 * x),
-        "driven",
-        ("dead_time.delay", lambda law, model: law.delay_s),
-    ),
-    "slow": Fault(
-        ("lag",),
-        _changed(lag_s=lambda s, x: 0.08 * x),
-        "driven",
-        ("lag.time", lambda law, model: law.lag_s),
-    ),
-    "dead": Fault(
-        ("deadband",),
-        _changed(dead=lambda s, x: 0.03 * x * s.half),
-        "follows",
-        ("deadband.width", lambda law, model: law.dead),
-    ),
-    "play": Fault(
-        ("backlash",),
-        _changed(play=lambda s, x: 0.04 * x * s.half),
-        size=("backlash.gap", lambda law, model: law.play),
-    ),
-    "limit": Fault(
-        ("ceiling",),
-        _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)),
-        "driven",
-        ("ceiling.limit", lambda law, model: law.limit),
-    ),
-    "spring": Fault(
-        ("spring",),
-        _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half),
-        size=("spring.stiffness", lambda law, model: law.spring),
-    ),
+    "friction": Fault(("coulomb_friction",), _changed(more_dry=lambda s, x: 0.25 * x * s.torque)),
+    "damping": Fault(("damping",), _changed(more_viscous=lambda s, x: 0.3 * x * s.torque / s.speed)),
+    "rotor": Fault(("armature",), _changed(more_inertia=lambda s, x: 0.5 * x * s.inertia)),
+    "weak": Fault(("gain",), _changed(gain=lambda s, x: 1 - 0.3 * x), "driven"),
+    "soft": Fault(("position_gain",), _changed(stiff=lambda s, x: 1 - 0.4 * x), "follows"),
+    "late": Fault(("dead_time", "latency"), _changed(delay_s=lambda s, x: 0.05 * x), "driven"),
+    "slow": Fault(("lag",), _changed(lag_s=lambda s, x: 0.08 * x), "driven"),
+    "dead": Fault(("deadband",), _changed(dead=lambda s, x: 0.03 * x * s.half), "follows"),
+    "play": Fault(("backlash",), _changed(play=lambda s, x: 0.04 * x * s.half)),
+    "limit": Fault(("ceiling",), _changed(limit=lambda s, x: s.torque * (0.9 - 0.3 * x)), "driven"),
+    "spring": Fault(("spring",), _changed(spring=lambda s, x: 0.4 * x * s.torque / s.half)),
     # More friction one way than the other is friction and a constant torque.
     "uneven": Fault(("torque_offset", "command_bias"), _changed(uneven=lambda s, x: 0.25 * x * s.torque), "driven"),
-    "pull": Fault(
-        ("torque_offset", "command_bias"),
-        _changed(torque=lambda s, x: 0.3 * x * s.torque),
-        "driven",
-        ("torque_offset.torque", lambda law, model: law.torque),
-    ),
+    "pull": Fault(("torque_offset", "command_bias"), _changed(torque=lambda s, x: 0.3 * x * s.torque), "driven"),
+}
+# Fault -> effect.parameter and its true value, by the joint's law and the model's own terms.
+SIZES: Final[Mapping[str, tuple[str, Callable[[JointLaw, Passive], float]]]] = {
+    "friction": ("coulomb_friction.torque", lambda law, own: law.dry * own.dry + law.more_dry),
+    "damping": ("damping.viscous", lambda law, own: law.viscous * own.viscous + law.more_viscous),
+    "rotor": ("armature.inertia", lambda law, own: law.armature * own.armature + law.more_inertia),
+    "weak": ("gain.scale", lambda law, own: law.gain - 1),
+    "soft": ("position_gain.scale", lambda law, own: law.stiff - 1),
+    "late": ("dead_time.delay", lambda law, own: law.delay_s),
+    "slow": ("lag.time", lambda law, own: law.lag_s),
+    "dead": ("deadband.width", lambda law, own: law.dead),
+    "play": ("backlash.gap", lambda law, own: law.play),
+    "limit": ("ceiling.limit", lambda law, own: law.limit),
+    "spring": ("spring.stiffness", lambda law, own: law.spring),
+    "pull": ("torque_offset.torque", lambda law, own: law.torque),
 }
 UNKNOWNS: Final[Mapping[str, Fault]] = {
     "cogging": Fault((), _changed(cogging=lambda s, x: 0.25 * x * s.torque)),
@@ -196,7 +155,7 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
         fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
         key = str(random.choice(fits))
         laws[joint] = table[key].law(laws[joint], scales[joint], strength * random.uniform(0.8, 1.25))
-        sizes = sizes_of(robot, joint, table[key], laws[joint])
+        sizes = sizes_of(robot, joint, key, laws[joint])
         causes.append({"fault": key, "joints": [joint], "names": list(table[key].names), "sizes": sizes})
     truth = Truth(laws, masses)
     if category == "whole":
@@ -216,13 +175,13 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     (folder / "truths" / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
-def sizes_of(robot: Robot, joint: str, fault: Fault, law: JointLaw) -> dict[str, float]:
+def sizes_of(robot: Robot, joint: str, fault: str, law: JointLaw) -> dict[str, float]:
     """Return the true size of a fault, by joint.effect.parameter; none of a joint with followers, which add theirs."""
     import mujoco
 
-    if fault.size is None or joint in robot.followers.values():
+    if fault not in SIZES or joint in robot.followers.values():
         return {}
-    path, value = fault.size
+    path, value = SIZES[fault]
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     dof = model.joint(joint).dofadr[0]
     passive = Passive(*(float(x[dof]) for x in (model.dof_damping, model.dof_frictionloss, model.dof_armature)))

@@ -65,12 +65,12 @@ def test_every_fault_changes_the_recording(name, healthy, scale):
     ],
 )
 def test_the_true_size_of_a_fault_includes_the_model_s_own(name, law, path, expected):
-    found = sizes_of(ROBOTS["camera"], "tilt", FAULTS[name], law)
+    found = sizes_of(ROBOTS["camera"], "tilt", name, law)
     assert found == {f"tilt.{path}": pytest.approx(expected)}
 
 
 def test_the_size_of_a_joint_with_followers_is_not_stated():
-    assert sizes_of(ROBOTS["linkage"], "crank", FAULTS["friction"], JointLaw(more_dry=0.1)) == {}
+    assert sizes_of(ROBOTS["linkage"], "crank", "friction", JointLaw(more_dry=0.1)) == {}
 
 
 @pytest.mark.parametrize(
