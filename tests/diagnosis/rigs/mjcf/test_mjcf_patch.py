@@ -1,7 +1,6 @@
 """The patched MJCF: only the named attributes change, and MuJoCo reads the new numbers."""
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -160,28 +159,25 @@ def test_a_patched_model_has_the_parameters_that_were_found(defaults, actuator, 
         found = patch.patched(file, verdict(changes), calibration=True)
         patched.write_text(found.text if changes else file.read_text())
         after = Mechanism(patched).joint("elbow")
-    factor, stiffer, limit = (sizes.get(path) for path in ("gain.scale", "position_gain.scale", "ceiling.limit"))
-    factor, old = 1 + (factor or 0.0), before.actuator
-    stiff = factor * (1 + (stiffer or 0.0))
-    own = replace(
-        old,
-        scale=stiff * old.scale,
-        offset=stiff * old.offset,
-        kp=stiff * old.kp,
-        kd=factor * old.kd,
-        low=-limit if limit else old.low,
-        high=limit or old.high,
-        lag_s=sizes.get("lag.time", old.lag_s),
+    old, new, limit = before.actuator, after.actuator, sizes.get("ceiling.limit")
+    factor = 1 + sizes.get("gain.scale", 0.0)
+    stiff = factor * (1 + sizes.get("position_gain.scale", 0.0))
+    low, high = (-limit, limit) if limit else (old.low, old.high)
+    pairs = (
+        (new.scale, stiff * old.scale),
+        (new.offset, stiff * old.offset),
+        (new.kp, stiff * old.kp),
+        (new.kd, factor * old.kd),
+        (new.low, low),
+        (new.high, high),
+        (new.lag_s, sizes.get("lag.time", old.lag_s)),
+        (after.viscous, sizes.get("damping.viscous", before.viscous)),
+        (after.dry, sizes.get("coulomb_friction.torque", before.dry)),
+        (after.armature, sizes.get("armature.inertia", before.armature)),
+        (after.spring, sizes.get("spring.stiffness", before.spring)),
     )
-    for name in ("scale", "offset", "kp", "kd", "low", "high", "lag_s"):
-        assert getattr(after.actuator, name) == pytest.approx(getattr(own, name), rel=1e-4, abs=1e-9), name
-    for name, path in (
-        ("viscous", "damping.viscous"),
-        ("dry", "coulomb_friction.torque"),
-        ("armature", "armature.inertia"),
-        ("spring", "spring.stiffness"),
-    ):
-        assert getattr(after, name) == pytest.approx(sizes.get(path, getattr(before, name)), rel=1e-4, abs=1e-9)
+    for found_size, size in pairs:
+        assert found_size == pytest.approx(size, rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("include", [True, False], ids=["include", "comment"])
