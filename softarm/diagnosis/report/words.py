@@ -174,7 +174,11 @@ def _plain_size(of: Estimate, declared: Parameter | None) -> str:
 
 def shrinks(diagnosis: Diagnosis, place: str) -> str:
     """Return how a stage's gap changes, such as `shrinks from 1.2 to 0.3 kPa RMS (74 % less, ...)`."""
-    before, after = diagnosis.verdict.gap.before[place], diagnosis.verdict.gap.after[place]
+    gap = diagnosis.verdict.gap
+    before, after, calibrated = gap.before[place], gap.after[place], gap.calibrated.get(place)
+    if (reduction(before, after) or 0.0) <= 0 and (reduction(before, calibrated) or 0.0) > 0:
+        assert calibrated is not None
+        return f"shrinks from {change(before, calibrated, ' to ')} RMS with the calibration (not without it)"
     verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
     return f"{verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"
 

@@ -210,6 +210,16 @@ def test_a_named_effect_is_reported_with_size_confidence_and_shrink():
     )
 
 
+def test_an_effect_that_shrinks_the_gap_beside_the_calibration_alone_is_reported_so():
+    gap = CASES["named"].verdict.gap
+    gap = gap.model_copy(update={"after": gap.after | {"pressure": gap.before["pressure"]}})
+    case = replace(CASES["named"], verdict=CASES["named"].verdict.model_copy(update={"gap": gap}))
+    assert report.answer(case)[2].startswith(
+        "With it corrected in the simulator, the gap of the pressure stage shrinks from 1.2 to 0.21 kPa RMS with the "
+        "calibration (not without it) and the gap at the tip shrinks from 20 to 10 mm RMS"
+    )
+
+
 def test_an_effect_that_the_robot_lacks_and_an_effect_of_another_size_are_distinguished():
     nominal = Model()
     effects = {n: dict(p) for n, p in nominal.effects.items() if n != GONE.name}
