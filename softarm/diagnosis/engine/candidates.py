@@ -117,10 +117,9 @@ class Nuisance:
     low: float  # registry's unit
     high: float
 
-    @property
-    def point(self) -> Point:
-        """Return the parameter at the edge of its box, where the column of the linear model is taken."""
-        return {self.path: self.edge}
+    def at(self, share: float) -> Point:
+        """Return the parameter at a share of the way from nominal to the edge of its box, which is exact at 1."""
+        return {self.path: self.edge + (share - 1) * (self.edge - self.nominal)}
 
     @property
     def edge(self) -> float:

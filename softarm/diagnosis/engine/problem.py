@@ -142,10 +142,7 @@ class Setup:
         if around is not None:
             fitted = around.nuisance[: len(shares)]
             shares = np.where(np.abs(fitted) > FAR, fitted, shares)
-        points = [
-            {n.path: n.nominal + float(share) * (n.edge - n.nominal), **at}
-            for n, share in zip(self.nuisances, shares, strict=True)
-        ]
+        points = [{**n.at(float(share)), **at} for n, share in zip(self.nuisances, shares, strict=True)]
         found = gaps.fetch([at, *points])
         base = found[gaps.key(at)]
         columns = [(found[gaps.key(p)] - base) / np.float32(x) for p, x in zip(points, shares, strict=True)]

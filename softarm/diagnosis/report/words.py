@@ -176,8 +176,7 @@ def shrinks(diagnosis: Diagnosis, place: str) -> str:
     """Return how a stage's gap changes, such as `shrinks from 1.2 to 0.3 kPa RMS (74 % less, ...)`."""
     gap = diagnosis.verdict.gap
     before, after, calibrated = gap.before[place], gap.after[place], gap.calibrated.get(place)
-    if (reduction(before, after) or 0.0) <= 0 and (reduction(before, calibrated) or 0.0) > 0:
-        assert calibrated is not None
+    if calibrated and (reduction(before, after) or 0.0) <= 0 < (reduction(before, calibrated) or 0.0):
         return f"shrinks from {change(before, calibrated, ' to ')} RMS with the calibration (not without it)"
     verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
     return f"{verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"

@@ -153,7 +153,7 @@ def information(view: RigView, known: Sequence[Candidate], number: NDArray[np.in
     It is the diagonal of the normal matrix of usual changes, in squares of the noise floor.
     """
     points = [point_of((each,), (each.starts[0],)) for each in known if each.starts]
-    points += [dict(each.point) for each in nuisances(view)]
+    points += [dict(each.at(1.0)) for each in nuisances(view)]
     base, found = view.gap([{}])[0], []
     for point in points:
         squares = (np.nan_to_num(view.gap([point])[0] - base) / view.floor) ** 2
