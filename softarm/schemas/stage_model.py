@@ -39,7 +39,8 @@ class Channel:
     any_of: tuple[str, ...]  # at least one of these is required
     others: tuple[str, ...] = ()
     optional: bool = False  # the whole channel
-    named_after: str = ""  # columns may have any name: those of the model's joints or actuators
+    named_after: str = ""  # columns may have any name: those of the model's joints, actuators, sites or bodies
+    instead_of: str = ""  # the other channel that it replaces
 
     def needed(self, links: int) -> tuple[str, ...]:
         """Return the names of which at least one column is required."""
@@ -77,6 +78,7 @@ CHANNELS: dict[StageKind, dict[str, Channel]] = {
     },
     "mujoco": {
         "measured": Channel((), named_after="joint"),
+        "mocap": Channel((), named_after="coordinate of a site or body", instead_of="measured"),
         "command": Channel((), optional=True, named_after="actuator"),
         "torque": Channel((), optional=True, named_after="joint"),
         "base": Channel((), optional=True, named_after="joint"),  # joints that are moved from outside

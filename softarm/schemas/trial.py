@@ -113,7 +113,8 @@ class Mechanism(Strict):
     @property
     def parts(self) -> tuple[str, ...]:
         """Return the names of the stages: of a MuJoCo model its measured joints; empty for a single stage."""
-        return tuple(self.channels["measured"].columns if self.kind == "mujoco" else self.elements)
+        measured = self.channels.get("measured")
+        return tuple(measured.columns if self.kind == "mujoco" and measured else self.elements)
 
 
 Effects = dict[str, dict[str, float]]  # `stage.effect` -> parameter -> value, in the units of a verdict

@@ -82,11 +82,13 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
       softarm new rig runs/*.csv --kind tracking --unit "angle*=deg" --out servo.yaml
       softarm new rig swings --kind pendulum --nominal mass_kg=0.15 --nominal centre_m=0.15 --nominal inertia_kg_m2=1e-4
     """
+    from softarm.diagnosis.data import mjcf
     from softarm.diagnosis.data.stage_file import called
     from softarm.diagnosis.describe import joints as of_joints
     from softarm.diagnosis.describe import stage_text
     from softarm.diagnosis.describe.proposal import Answers, propose
     from softarm.diagnosis.describe.survey import survey
+    from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 
     leaves(NOTHING)
     _may_be_written(out, overwrite)
@@ -100,7 +102,8 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     _show(found)
     if models:
         where, leaders = os.path.relpath(models[0].resolve(), out.parent.resolve()), partial(_leaders, models[0])
-        proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, joints, where, leaders))
+        known = joints, where, leaders, mjcf.places(mechanism(models[0]).model)
+        proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, *known))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")

@@ -11,6 +11,8 @@ from softarm.schemas.stage_model import CHANNELS, COLUMN_UNITS, LINKS_MAX, Stage
 
 # Ends of the columns of a floating body's or ball joint's orientation.
 QUATERNION = ("_qw", "_qx", "_qy", "_qz")
+# Units of the columns of a MuJoCo model's joints, by channel.
+_JOINT_UNITS = {"measured": ("rad", "m"), "base": ("rad", "m"), "torque": ("N m", "N"), "mocap": ("m",)}
 
 Findings = dict[Place, Callable[[], str]]
 
@@ -89,8 +91,11 @@ def _channels(kind: StageKind, channels: Mapping[str, Any], links: int) -> Itera
                     ("channels", name, "columns", column),
                     f"unknown column; {near}{name} of a {kind} stage has {', '.join(known)}; call it one of these",
                 )
+        if channel.instead_of in channels and name in channels:
+            yield ("channels", name), f"is given together with {channel.instead_of}; keep one of the two"
         if name not in channels:
-            if not channel.optional:
+            others = {channel.instead_of, *(n for n, each in CHANNELS[kind].items() if each.instead_of == name)}
+            if not channel.optional and not others & channels.keys():
                 wanted = _any(channel.needed(links)) or f"for each {channel.named_after}"
                 yield ("channels",), f"a {kind} stage needs a channel {name} with a column {wanted}; add it"
         elif channel.named_after:
@@ -119,8 +124,8 @@ def _units(kind: StageKind, channels: Mapping[str, Any]) -> Iterator[tuple[Place
             allowed = COLUMN_UNITS.get(column.rstrip("0123456789"), ())
             allowed = ("m",) if name == "base" else allowed
             if kind == "mujoco":  # columns have the names of joints and actuators
-                allowed = {"measured": ("rad", "m"), "base": ("rad", "m"), "torque": ("N m", "N")}.get(name, ())
-                if name == "base" and column.endswith(QUATERNION):
+                allowed = _JOINT_UNITS.get(name, ())
+                if name in ("base", "mocap") and column.endswith(QUATERNION):
                     allowed = (PURE,)
             if unit and allowed and unit not in allowed:
                 yield (

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.quantity import factor
-from softarm.diagnosis.data import checks, stage_rules, still_checks, table_checks, table_files
+from softarm.diagnosis.data import checks, mocap, stage_rules, still_checks, table_checks, table_files
+from softarm.diagnosis.data.skeleton import Skeleton
 from softarm.diagnosis.data.stage_file import Recording, Stage, load, recordings
 from softarm.diagnosis.data.still_checks import Columns
 from softarm.diagnosis.data.table_files import Table
@@ -40,17 +41,23 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
     wrong: dict[str, None] = {}
     for stage in stages:
+        skeleton = mocap.skeleton_of(stage, base)
+        about = stage.about if skeleton is None else mocap.with_joints(stage.about, skeleton)
         for recording in _split(recordings(path, base, stage), table_of):
             if isinstance(recording, TrialError):
                 wrong[str(recording)] = None
                 continue
-            for element in stage.about.parts or ("",):
+            found: dict[int | None, _Read] = {}
+            for element in about.parts or ("",):
+                place = about.elements.get(element)
                 try:
-                    trial = _trial(stage, recording, element, base, table_of)
+                    if place not in found:  # all joints of a model share their rows
+                        found[place] = _read(stage.about, recording, place, table_of, skeleton)
+                    trial = _trial(replace(stage, about=about), recording, element, base, found[place])
                 except TrialError as error:
                     wrong[str(error)] = None
                     continue
-                at = Columns(stage.about, recording.files)
+                at = Columns(about, {"measured": recording.files.get("mocap", trial.source), **recording.files})
                 mistakes, odd = table_checks.judge(trial, at)
                 wrong |= dict.fromkeys(mistakes)
                 if not mistakes:
@@ -83,8 +90,19 @@ def _split(found: Iterable[Recording | TrialError], table_of: TableOf) -> Iterat
             yield error
 
 
-def _trial(stage: Stage, recording: Recording, element: str, base: Path, table_of: TableOf) -> Trial:
-    about = stage.about
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """Channels of one recording, why others are missing, and warnings."""
+
+    channels: dict[str, Series]
+    missing: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+def _read(
+    about: Mechanism, recording: Recording, place: int | None, table_of: TableOf, skeleton: Skeleton | None
+) -> _Read:
+    """Return the channels of a recording; place: index in the lists that cells hold."""
     read: dict[str, _Rows] = {}
     channels: dict[str, Series] = {}
     missing: dict[str, str] = {}
@@ -95,7 +113,7 @@ def _trial(stage: Stage, recording: Recording, element: str, base: Path, table_o
             missing[name] = f"trial {recording.name} names no file for it"
             continue
         path = recording.files[name]
-        read[name], found, zone = _rows(table_of(path), channel, recording, about.elements.get(element))
+        read[name], found, zone = _rows(table_of(path), channel, recording, place)
         zoned.setdefault(zone, f"{path}: column {channel.time.source}")
         warnings += found
     for name, rows in _within(read, recording).items():
@@ -109,6 +127,15 @@ def _trial(stage: Stage, recording: Recording, element: str, base: Path, table_o
         )
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
+    if skeleton is not None:
+        tracked = channels.pop("mocap")
+        measured = mocap.positions(skeleton, tracked, channels.get("base"), recording.files["mocap"])
+        channels = {"measured": measured, **channels}
+    return _Read(channels, missing, tuple(warnings))
+
+
+def _trial(stage: Stage, recording: Recording, element: str, base: Path, read: _Read) -> Trial:
+    about = stage.about
     units = {
         name: {column: TableUnit(each.unit, *factor(each.unit)) for column, each in channel.columns.items()}
         for name, channel in about.channels.items()
@@ -125,11 +152,11 @@ def _trial(stage: Stage, recording: Recording, element: str, base: Path, table_o
         name,
         recording.kind,
         next(iter(recording.files.values())),
-        channels,
+        read.channels,
         "free",
         TableStage(own, about.kind, model, units, about.angles == "relative", effects),
-        tuple(warnings),
-        missing,
+        read.warnings,
+        read.missing,
     )
 
 

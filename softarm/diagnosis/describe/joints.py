@@ -1,21 +1,27 @@
 """Proposal of a stage.yaml for a MuJoCo model: columns found by the names of its joints and actuators."""
 
+import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from softarm.common.quantity import factor
+import numpy as np
+
+from softarm.common.quantity import PURE, factor
+from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe.proposal import Answers, Draft, Proposal, Use
 from softarm.diagnosis.describe.survey import Signal, Survey
 
 # Readings this much wider than the joint's range, or than two turns of a position loop without one, are in degrees.
 WIDER, TURNS_RAD = 1.5, 13.0
+# Tracked points further away than this are in millimetres.
+FARTHEST_M = 20.0
+OF_MODEL = "of the model"  # note on a unit
 _RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
-# Headers of a pose, in letters and digits: its name, and the part of the orientation or of the position.
-_POSE = re.compile(
-    r"(?P<name>.*?)(?:(?:quaternion|quat|orientation|rotation|q)(?P<turn>[wxyz])|(?:position|pos|p)?(?P<place>[xyz]))"
-)
+# Ends of a pose's headers, in letters and digits: a part of the orientation or of the position. With its name before.
+_PART = re.compile(r"(?:quaternion|quat|orientation|rotation|q)(?P<turn>[wxyz])|(?:position|pos|p)?(?P<place>[xyz])")
+_POSE = re.compile(f"(?P<name>.*?)(?:{_PART.pattern})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +48,7 @@ def propose(
     joints: Sequence[ModelJoint],
     model: str,
     leaders: Callable[[Collection[str]], Mapping[str, str]],
+    places: Collection[str] = (),
 ) -> Proposal:
     """Return the content of a stage file of kind mujoco.
 
@@ -51,39 +58,42 @@ def propose(
         joints: joints of the model.
         model: path of the model as the stage file names it.
         leaders: returns which of some measured joints follow another by the model's equalities, with that joint.
+        places: sites and bodies of the model, which motion capture may track.
 
     Raises:
         Unknown: the stamps or their unit are unknown.
-        TrialError: no column has the name of a joint.
+        TrialError: no column has the name of a joint or of a tracked point.
     """
     draft = Draft(survey, answers)
-    found = _used(draft, joints)
+    found = _used(draft, joints, _tracked(draft, joints, places))
     for name, leader in leaders(found.get("measured", {})).items():
         found.setdefault("base", {})[name] = found["measured"].pop(name)
         draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
     for joint in joints:
         if joint.name in found.get("measured", {}) and not joint.actuator:
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
-    if not found.get("measured"):
+    if not found.keys() & {"measured", "mocap"}:
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
-    why = f"{len(found['measured'])} joints of the model are measured"
+    why = f"{len(found['measured'])} joints of the model are measured" if "measured" in found else "points are tracked"
     return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
 
 
-def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use]]:
-    """Return the columns by channel and by the model's name for them."""
+def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Signal]) -> dict[str, dict[str, Use]]:
+    """Return the columns by channel and by the model's name for them; tracked points count if no joint is measured."""
     found = dict[str, dict[str, Use]]()
-    poses = _poses(draft, joints)
+    poses, taken, unseen = _poses(draft, joints), [*tracked.values()], dict[str, Use]()
     for joint in joints:
         if joint.name in poses:
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
-        signals = [s for s in draft.moving if not s.elements and _owner(s, joints) == joint]
+        signals = [s for s in draft.moving if not s.elements and s not in taken and _owner(s, joints) == joint]
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
         command = _first(draft, commands, _no_commands(joint))
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
         if measured is None:
+            if joint.actuator and command is not None:
+                unseen[joint.actuator] = _use(draft, command, joint.command_unit, joint.widest)
             continue
         driven = bool(joint.actuator) and command is not None
         channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
@@ -92,7 +102,11 @@ def _used(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, dict[str, Use
             found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, joint.widest)
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
-    return found
+    if tracked and "measured" not in found:
+        found["mocap"] = _coordinates(draft, tracked)
+        found["command"] = {**found.get("command", {}), **unseen}
+        draft.notes.append("Tracked points have to be in the model's frame")
+    return {channel: columns for channel, columns in found.items() if columns}
 
 
 def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
@@ -113,6 +127,29 @@ def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
         return replace(signal, header=replace(header, name=source, unit=None, quantity=""))
 
     return replace(survey, signals=tuple(map(read, survey.signals)))
+
+
+def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Collection[str]) -> dict[str, Signal]:
+    """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw."""
+    known = {_plain(name): name for name in sorted(places, key=len)}
+    others = {_plain(name) for joint in joints for name in (joint.name, joint.actuator)}
+    found = dict[str, Signal]()
+    for signal in draft.moving:
+        header = _plain(signal.header.name)
+        place = max((name for name in known if header.startswith(name)), key=len, default="")
+        part = _PART.fullmatch(header.removeprefix(place))
+        if place and part and header not in others and not signal.elements:
+            found[f"{known[place]}_{part['place'] or 'q' + part['turn']}"] = signal
+    return found
+
+
+def _coordinates(draft: Draft, tracked: Mapping[str, Signal]) -> dict[str, Use]:
+    """Return the columns of tracked points with their units; without any, far points are in millimetres."""
+    found = {n: _use(draft, s, PURE if n.endswith(QUATERNION) else "m", math.inf) for n, s in tracked.items()}
+    without = [n for n, use in found.items() if (use.unit, use.note) == ("m", OF_MODEL)]
+    if any(np.abs(tracked[n].all).max() > FARTHEST_M for n in without):
+        found |= {n: replace(found[n], unit="mm", note="by their range") for n in without}
+    return found
 
 
 def _poses(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, Signal]:
@@ -177,7 +214,7 @@ def _use(draft: Draft, signal: Signal, unit: str, widest: float) -> Use:
     wide = float(signal.all.max() - signal.all.min())
     if unit == "rad" and wide > widest:
         return Use(signal, "deg", "by the range of the joint")
-    return Use(signal, unit, "of the model")
+    return Use(signal, unit, OF_MODEL)
 
 
 def _plain(text: str) -> str:

@@ -21,6 +21,7 @@ _CHANNELS = {
     "force": "what moves the mass: force, torque, current or voltage",
     "torque": "torques of the joints, commanded or measured",
     "measured": "what the sensors show",
+    "mocap": "coordinates of sites and bodies by motion capture, in the model's frame",
     "base": "position of the cart that carries the first joint",
 }
 _MOVED = "joints that are moved from outside or follow another, and poses of floating bodies"
@@ -154,7 +155,7 @@ def _trials(survey: Survey, proposal: Proposal, folder: Path) -> Iterator[str]:
     yield "# Cut a recording with from_s and to_s, in seconds after its first row."
     yield "trials:"
     groups = {channel: next(iter(columns.values())).signal.group for channel, columns in proposal.channels.items()}
-    stamps = proposal.clocks["measured"].times_s
+    stamps = proposal.clocks["measured" if "measured" in proposal.clocks else "mocap"].times_s
     for recording, times in zip(survey.recordings, stamps, strict=True):
         files = {channel: _path(recording.files[group], folder) for channel, group in groups.items()}
         one = next(iter(files.values())) if len(set(files.values())) == 1 else None

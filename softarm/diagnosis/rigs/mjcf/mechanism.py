@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softarm.common import files
 from softarm.common.words import did_you_mean
+from softarm.diagnosis.data.mjcf import load
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as law
@@ -23,7 +24,6 @@ from softarm.diagnosis.rigs.mjcf.links import Link, Links
 from softarm.diagnosis.rigs.mjcf.poses import Motion, PoseJoint
 from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
-INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
 
@@ -107,8 +107,8 @@ class Mechanism:
         Raises:
             TrialError: MuJoCo is missing, or the file is invalid.
         """
-        self.path, self._mujoco = path, _mujoco(path)
-        self.model = _loaded(self._mujoco, path)
+        self.path = path
+        self._mujoco, self.model = load(path)
         self.step_s = float(self.model.opt.timestep)
         self.stepping = stepping(self._mujoco, self.model)
         self._links = Links(self._mujoco, self.model)
@@ -443,21 +443,3 @@ def mechanism(path: Path, measured: Iterable[str] = (), moved: Iterable[str] = (
 @lru_cache(maxsize=8)
 def _mechanism(path: Path, measured: frozenset[str], moved: frozenset[str], changed_ns: int) -> Mechanism:
     return Mechanism(path, measured, moved)
-
-
-def _mujoco(path: Path) -> Any:
-    try:
-        import mujoco
-    except ImportError:
-        raise TrialError(f"{path}: {INSTALL}") from None
-    return mujoco
-
-
-def _loaded(mujoco: Any, path: Path) -> Any:
-    if not files.is_file(path):
-        raise TrialError(f"{path}: does not exist; write the path of the MJCF or URDF file under `model: mjcf`")
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        said = " ".join(str(error).split())
-        raise TrialError(f"{path}: MuJoCo cannot read the model ({said}); correct the file") from None

@@ -1,0 +1,78 @@
+"""Positions of a MuJoCo model's joints from motion capture of its sites and bodies."""
+
+from pathlib import Path
+
+import numpy as np
+
+from softarm.diagnosis.data.skeleton import Skeleton
+from softarm.diagnosis.data.stage_file import Stage
+from softarm.diagnosis.data.trials import Series, TrialError
+from softarm.schemas.trial import Column, Mechanism, TableChannel
+
+# Rows of a recording in which a pose is sought without one beside it.
+ROWS = 6
+# Largest error of the points, as a share of the reach; distance from which two poses differ, rad or m.
+MISFIT, APART = 0.02, 0.05
+# Least motion of the points per motion of the joints: of the usual row as a share of the reach, of a row as a share of
+# the usual one.
+UNDETERMINED, NEARLY = 1e-3, 0.3
+
+
+def skeleton_of(stage: Stage, base: Path) -> Skeleton | None:
+    """Return the joints that motion capture determines, or None for a stage without; base: the data folder."""
+    channels = stage.about.channels
+    if "mocap" not in channels:
+        return None
+    moved = channels["base"].columns if "base" in channels else ()
+    return Skeleton(stage.file(str(stage.about.model["mjcf"]), base), channels["mocap"].columns, moved)
+
+
+def with_joints(about: Mechanism, skeleton: Skeleton) -> Mechanism:
+    """Return the description of a mechanism with measured joints instead of tracked points."""
+    others = {name: channel for name, channel in about.channels.items() if name != "mocap"}
+    units = zip(skeleton.joints, skeleton.units, strict=True)
+    joints = {name: Column(source="mocap", unit=unit) for name, unit in units}
+    measured = TableChannel(time=about.channels["mocap"].time, columns=joints)
+    return about.model_copy(update={"channels": {"measured": measured, **others}})
+
+
+def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Path) -> Series:
+    """Return the positions of a skeleton's joints with the stamps of motion capture.
+
+    Rows near a pose in which the tracked points hardly show a joint's motion are left out.
+
+    Args:
+        skeleton: joints and tracked points.
+        mocap: tracked coordinates in the model's frame, m, and quaternions.
+        base: positions of joints that are moved from outside, or None.
+        where: file, for messages.
+
+    Raises:
+        TrialError: the points do not fit the model, fit several poses, or do not determine a joint.
+    """
+    seen, qpos = skeleton.tracked(mocap), skeleton.around(mocap, base, where)
+    looked = [(skeleton.poses(seen, qpos, int(row)), int(row)) for row in np.linspace(0, len(mocap) - 1, ROWS)]
+    shown = [poses.shown[0] for poses, _ in looked]
+    poses, clear = looked[int(np.argmax(shown))]
+    best = poses.positions[0]
+    if np.median(shown) < UNDETERMINED * skeleton.reach_m:
+        names = skeleton.hardly_shown(seen, qpos, clear, best)
+        raise TrialError(
+            f"{where}: the tracked points do not show the position of {', '.join(names)}; track more points on the "
+            "links behind these joints, or the orientation of the last one (NAME_qw to NAME_qz)"
+        )
+    found = skeleton.followed(seen, qpos, clear, best)
+    if (error_m := float(np.sqrt(np.mean(found.errors_m**2)))) > MISFIT * skeleton.reach_m:
+        raise TrialError(
+            f"{where}: the tracked points differ by {error_m:.2g} m from the model in its best poses; allowed "
+            f"{MISFIT * skeleton.reach_m:.2g} m: check their unit, that origin and axes are those of the model (many "
+            "systems have y upwards), and that each site is where its marker is"
+        )
+    if others := [pose for pose in poses.positions if skeleton.distance(pose, best) > APART]:
+        two = " or ".join(", ".join(f"{x:.2f}" for x in pose) for pose in (best, others[0]))
+        raise TrialError(
+            f"{where}: several poses fit the tracked points: {', '.join(skeleton.joints)} may be at {two}; track a "
+            "point on a link between, or give the joints their `range` in the model"
+        )
+    keep = found.shown > NEARLY * np.median(found.shown)
+    return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True)))

@@ -1,0 +1,262 @@
+"""Joints of a MuJoCo model that tracked sites and bodies determine (inverse kinematics)."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softarm.common.words import did_you_mean
+from softarm.diagnosis.data import mjcf
+from softarm.diagnosis.data.stage_rules import QUATERNION
+from softarm.diagnosis.data.trials import Array, Series, TrialError
+
+# Distance at which an error of an orientation counts as much as one of a position.
+LEVER_M = 0.1
+# Gauss-Newton steps at most, longest step, and step at which they end, rad or m; damping of a step, m^2/rad^2.
+STEPS_MOST, STEP_MOST, STEP_LEAST, DAMPING = 30, 0.3, 1e-7, 1e-9
+# Starts of the search for poses; poses fit alike up to this ratio of their errors, beside an error in m.
+STARTS, ALIKE, ALIKE_M = 24, 2.0, 1e-4
+# Range in which a joint without a limit is sought, rad or m, and distance by which poses may exceed a limit.
+WIDE, BEYOND = np.pi, 0.1
+_TURN = frozenset(each[1:] for each in QUATERNION)
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Tracked site or body."""
+
+    name: str
+    number: int
+    is_site: bool
+    turns: bool  # whether its orientation is tracked
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """Tracked positions [T, P, 3], NaN where a coordinate is not measured, and orientations [T, P, 4]."""
+
+    places: Array
+    turns: Array
+
+
+class Poses(NamedTuple):
+    """Poses of the joints that fit the tracked points, of R rows, or R poses for one row."""
+
+    positions: Array  # [R, J], rad or m
+    errors_m: Array  # [R], root mean square of all coordinates
+    shown: Array  # [R], least motion of the points per motion of the joints, m/rad or 1
+
+
+class Skeleton:
+    """Joints of a model that move tracked sites and bodies.
+
+    Attributes:
+        joints: their names.
+        units: their units, rad or m.
+        points: the tracked points.
+    """
+
+    def __init__(self, path: Path, columns: Collection[str], moved: Collection[str] = ()) -> None:
+        """Load an MJCF or URDF file.
+
+        Args:
+            path: the file.
+            columns: NAME_x, NAME_y, NAME_z and NAME_qw to NAME_qz of sites or bodies.
+            moved: columns of joints that are moved from outside.
+
+        Raises:
+            TrialError: a column belongs to no site or body, or tracked points cannot determine a joint that moves them.
+        """
+        self._path = path
+        self._mujoco, self._model = mjcf.load(path)
+        self._data = self._mujoco.MjData(self._model)
+        self.points = tuple(self._points(columns))
+        model, kinds = self._model, self._mujoco.mjtJoint
+        bodies = [int(model.site_bodyid[p.number]) if p.is_site else p.number for p in self.points]
+        carriers = {joint for body in bodies for joint in self._carriers(body)}
+        numbers = [j for j in sorted(carriers) if model.joint(j).name not in moved]
+        self._refuse(numbers)
+        self.joints = tuple(str(model.joint(j).name) for j in numbers)
+        turns = model.jnt_type[numbers] == int(kinds.mjJNT_HINGE)
+        self.units = tuple("rad" if each else "m" for each in turns)
+        self._at, self._dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+        limited = model.jnt_limited[numbers].astype(bool)
+        self._low = np.where(limited, model.jnt_range[numbers, 0], -WIDE)
+        self._high = np.where(limited, model.jnt_range[numbers, 1], WIDE)
+        self._turns = turns
+        self._place_of = {str(model.joint(j).name): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
+        self.reach_m = self._reach_m()
+
+    def tracked(self, mocap: Series) -> Tracked:
+        """Return the readings of the tracked points."""
+        lacking, unit = np.full(len(mocap), np.nan), np.eye(4, 1) * np.ones(len(mocap))
+        places = [[mocap.columns.get(f"{p.name}_{axis}", lacking) for axis in "xyz"] for p in self.points]
+        turns = [[mocap[p.name + q] for q in QUATERNION] if p.turns else unit for p in self.points]
+        return Tracked(np.array(places).transpose(2, 0, 1), np.array(turns).transpose(2, 0, 1))
+
+    def around(self, mocap: Series, base: Series | None, where: Path) -> Array:
+        """Return the positions of the model's other joints, qpos [T, nq]; raise TrialError for an unknown joint."""
+        qpos = np.tile(self._model.qpos0, (len(mocap), 1))
+        for name, values in base.columns.items() if base is not None else ():
+            assert base is not None
+            if name not in self._place_of:
+                raise TrialError(
+                    f"{where}: {name} is no joint of the model; beside `mocap`, `base` has hinge and slide joints alone"
+                )
+            qpos[:, self._place_of[name]] = np.interp(mocap.t_s, base.t_s, values)
+        return qpos
+
+    def followed(self, seen: Tracked, qpos: Array, start: int, near: Array) -> Poses:
+        """Return the pose of each row, solved from that of the row beside it.
+
+        Args:
+            seen: readings of R rows.
+            qpos: positions of the model's other joints, [R, nq].
+            start: row to begin at, in both directions.
+            near: pose near that of this row, [J].
+        """
+        found: list[tuple[Array, float, float]] = [(near, 0.0, 0.0)] * len(qpos)
+        for rows in (range(start, len(qpos)), range(start, -1, -1)):
+            last = near
+            for row in rows:
+                found[row] = self._solved(seen.places[row], seen.turns[row], qpos[row], last)
+                last = found[row][0]
+        return Poses(*map(np.array, zip(*found, strict=True)))
+
+    def poses(self, seen: Tracked, qpos: Array, row: int) -> Poses:
+        """Return the poses that fit one row alike, the best one first: those within the joints' ranges, if any are."""
+        starts = np.random.default_rng(0).uniform(self._low, self._high, (STARTS, len(self._low)))
+        solved = [
+            self._solved(seen.places[row], seen.turns[row], qpos[row], start)
+            for start in (qpos[row, self._at], *starts)
+        ]
+        found = Poses(*map(np.array, zip(*sorted(solved, key=lambda each: each[1]), strict=True)))
+        turns = np.round((found.positions - (self._low + self._high) / 2) / (2 * np.pi))
+        positions = found.positions - np.where(self._turns, 2 * np.pi * turns, 0.0)
+        alike = found.errors_m < ALIKE * found.errors_m[0] + ALIKE_M
+        within = np.all((positions > self._low - BEYOND) & (positions < self._high + BEYOND), axis=1)
+        chosen = alike & within if np.any(alike & within) else alike
+        return Poses(positions[chosen], found.errors_m[chosen], found.shown[chosen])
+
+    def distance(self, one: Array, other: Array) -> float:
+        """Return the largest distance of two poses, rad or m."""
+        way = one - other
+        return float(np.abs(np.where(self._turns, (way + np.pi) % (2 * np.pi) - np.pi, way)).max())
+
+    def hardly_shown(self, seen: Tracked, qpos: Array, row: int, pose: Array) -> list[str]:
+        """Return the joints whose common motion moves the tracked points least at a row."""
+        _, jacobian = self._errors(seen.places[row], seen.turns[row], qpos[row], pose)
+        weakest = np.abs(np.linalg.eigh(jacobian.T @ jacobian)[1][:, 0])
+        return [name for name, share in zip(self.joints, weakest, strict=True) if share > 0.3 * weakest.max()]
+
+    def _points(self, columns: Collection[str]) -> Iterator[Point]:
+        parts: dict[str, set[str]] = {}
+        for column in columns:
+            name, _, part = column.rpartition("_")
+            if part not in {"x", "y", "z"} | _TURN:
+                raise TrialError(
+                    f"{self._path}: {column} is no coordinate; name the columns of a site or body NAME_x, NAME_y, "
+                    "NAME_z, and NAME_qw to NAME_qz for its orientation"
+                )
+            parts.setdefault(name, set()).add(part)
+        m, kinds = self._model, self._mujoco.mjtObj
+        for name, of in parts.items():
+            site, body = (self._mujoco.mj_name2id(m, kind, name) for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_BODY))
+            if max(site, body) < 0:
+                known = mjcf.places(m)
+                raise TrialError(
+                    f"{self._path}: no site or body {name}; {did_you_mean(name, known)}the model has "
+                    f"{', '.join(known)}; add a site where the marker is"
+                )
+            if 0 < len(of & _TURN) < len(_TURN):
+                raise TrialError(f"{self._path}: the orientation of {name} needs {name}_qw to {name}_qz; name all four")
+            yield Point(name, site if site >= 0 else body, site >= 0, of >= _TURN)
+
+    def _refuse(self, numbers: list[int]) -> None:
+        """Raise TrialError if no joint moves the points, or one cannot be determined; numbers: the joints."""
+        model, kinds = self._model, self._mujoco.mjtJoint
+        if not numbers:
+            names = ", ".join(point.name for point in self.points)
+            raise TrialError(f"{self._path}: no joint moves {names}; track a point that moves")
+        single = int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)
+        if other := [j for j in numbers if model.jnt_type[j] not in single or not model.joint(j).name]:
+            body = model.body(int(model.jnt_bodyid[other[0]])).name
+            raise TrialError(
+                f"{self._path}: body {body} has a joint that is no hinge or slide, or has no name; name it, or measure "
+                "the joints behind it with columns of their own under `measured`"
+            )
+        if both := sorted({*numbers} & self._coupled()):
+            raise TrialError(
+                f"{self._path}: an equality couples {model.joint(both[0]).name} with other joints, which `mocap` "
+                "cannot determine; measure the joints with columns of their own under `measured`"
+            )
+
+    def _carriers(self, body: int) -> Iterator[int]:
+        """Yield the joints that move a body."""
+        m = self._model
+        while body:
+            yield from range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
+            body = int(m.body_parentid[body])
+
+    def _coupled(self) -> set[int]:
+        """Return the joints that an equality couples."""
+        m, kinds, found = self._model, self._mujoco.mjtEq, set[int]()
+        for kind, one, other in zip(m.eq_type, m.eq_obj1id, m.eq_obj2id, strict=True):
+            if kind == int(kinds.mjEQ_JOINT):
+                found |= {int(one), int(other)} - {-1}
+            elif kind in (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)):
+                found |= {*self._carriers(int(one))} ^ {*self._carriers(int(other))}
+        return found
+
+    def _solved(self, places: Array, turns: Array, qpos: Array, near: Array) -> tuple[Array, float, float]:
+        """Return the pose with the least squared error near another, its error, and the least motion of the points."""
+        found, damping = near.copy(), DAMPING * np.eye(len(near))
+        for _ in range(STEPS_MOST):
+            errors, jacobian = self._errors(places, turns, qpos, found)
+            step = np.linalg.solve(jacobian.T @ jacobian + damping, jacobian.T @ errors)
+            found = found + step * min(1.0, STEP_MOST / max(float(np.abs(step).max()), 1e-300))
+            if np.abs(step).max() < STEP_LEAST:
+                break
+        errors, jacobian = self._errors(places, turns, qpos, found)
+        least = float(np.linalg.eigvalsh(jacobian.T @ jacobian)[0])
+        return found, float(np.sqrt(np.mean(errors**2))), float(np.sqrt(max(least, 0.0)))
+
+    def _errors(self, places: Array, turns: Array, qpos: Array, pose: Array) -> tuple[Array, Array]:
+        """Return measured minus predicted coordinates at a pose [E], m, and the Jacobian of the predicted [E, J]."""
+        self._put(qpos, pose)
+        self._mujoco.mj_comPos(self._model, self._data)
+        errors, rows = [], []
+        moves, rotates = np.empty((3, self._model.nv)), np.empty((3, self._model.nv))
+        for place, turn, point in zip(places, turns, self.points, strict=True):
+            jacobian = self._mujoco.mj_jacSite if point.is_site else self._mujoco.mj_jacBody
+            jacobian(self._model, self._data, moves, rotates, point.number)
+            (at, axes), seen = self._frame(point), np.isfinite(place)
+            errors.append((place - at)[seen])
+            rows.append(moves[seen][:, self._dofs])
+            if point.turns:
+                now, way = np.empty(4), np.empty(3)
+                self._mujoco.mju_mat2Quat(now, axes)
+                self._mujoco.mju_subQuat(way, turn / np.linalg.norm(turn), now)
+                errors.append(LEVER_M * (axes.reshape(3, 3) @ way))
+                rows.append(LEVER_M * rotates[:, self._dofs])
+        return np.concatenate(errors), np.concatenate(rows)
+
+    def _put(self, qpos: Array, pose: Array) -> None:
+        """Compute the model's geometry in a pose."""
+        self._data.qpos[:] = qpos
+        self._data.qpos[self._at] = pose
+        self._mujoco.mj_kinematics(self._model, self._data)
+
+    def _frame(self, point: Point) -> tuple[Array, Array]:
+        """Return the position [3], m, and the axes [9] of a point in the pose of the data."""
+        data = self._data
+        at, axes = (data.site_xpos, data.site_xmat) if point.is_site else (data.xpos, data.xmat)
+        return at[point.number], axes[point.number]
+
+    def _reach_m(self) -> float:
+        """Return the largest distance of a tracked point from the first joint in the model's zero, or LEVER_M."""
+        self._put(self._model.qpos0, self._model.qpos0[self._at])
+        start = self._data.xanchor[self._model.dof_jntid[self._dofs[0]]]
+        return max(LEVER_M, *(float(np.linalg.norm(self._frame(p)[0] - start)) for p in self.points))

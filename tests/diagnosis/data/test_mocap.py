@@ -1,0 +1,235 @@
+"""Joints of a MuJoCo model by motion capture of its sites and bodies."""
+
+import re
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softarm.cli.main import main
+from softarm.diagnosis.data import mocap, tables
+from softarm.diagnosis.data.skeleton import Skeleton
+from softarm.diagnosis.data.trials import Series, TrialError
+
+# A turret, an upper arm and a forearm, and a carriage that carries them.
+ARM = """
+<mujoco><compiler angle="radian"/><worldbody>
+<body name="carriage"><joint name="rail" type="slide" axis="1 0 0" range="-1 1"/><geom size=".1"/>
+<body name="turret" pos="0 0 .2"><joint name="yaw" axis="0 0 1" range="-1.5 1.5"/><geom size=".05"/>
+<body name="upper" pos="0 0 .1"><joint name="shoulder" axis="0 1 0" range="-1.5 1.5"/>
+<geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/><site name="elbow_marker" pos=".28 0 .03"/>
+<body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="ELBOW"/>
+<geom type="capsule" size=".02" fromto="0 0 0 .25 0 0"/><site name="tip" pos=".25 .01 0"/>
+</body></body></body></body></worldbody>
+<actuator><position name="yaw_servo" joint="yaw" kp="20"/><position name="shoulder_servo" joint="shoulder" kp="40"/>
+<position name="elbow_servo" joint="elbow" kp="20"/></actuator>EXTRA</mujoco>"""
+JOINTS = ("rail", "yaw", "shoulder", "elbow")
+T = np.arange(200) * 0.01
+
+
+def write(folder, elbow="-2.4 2.4", extra=""):
+    """Write the model into a folder, with a range of the elbow and more elements."""
+    file = folder / "arm.xml"
+    file.write_text(ARM.replace("ELBOW", elbow).replace("EXTRA", extra))
+    return file
+
+
+@pytest.fixture
+def model(tmp_path):
+    return partial(write, tmp_path)
+
+
+def motion(elbow=(0.8, 0.6)):
+    """Return positions of the joints, [T, 4]; elbow: its mean and amplitude."""
+    swings = [0.2 * np.sin(2 * T), 0.7 * np.sin(3 * T + 1), 0.5 * np.sin(4 * T), elbow[0] + elbow[1] * np.sin(5 * T)]
+    return np.stack(swings, axis=1)
+
+
+def tracked(file, positions, names, noise_m=0.0):
+    """Return columns of sites and bodies in some poses; a name with + has an orientation as well."""
+    m, random = mujoco.MjModel.from_xml_path(str(file)), np.random.default_rng(0)
+    data, found = mujoco.MjData(m), {}
+    for name in names:
+        for part in ("x", "y", "z", *(("qw", "qx", "qy", "qz") if name.endswith("+") else ())):
+            found[f"{name.rstrip('+')}_{part}"] = np.empty(len(positions))
+    for k, row in enumerate(positions):
+        data.qpos[:] = row
+        mujoco.mj_kinematics(m, data)
+        for name in (each.rstrip("+") for each in names):
+            is_site = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
+            at = data.site(name).xpos if is_site else data.body(name).xpos
+            for axis, value in zip("xyz", at + noise_m * random.normal(size=3), strict=True):
+                found[f"{name}_{axis}"][k] = value
+            for i, part in enumerate(("qw", "qx", "qy", "qz")):
+                if f"{name}_{part}" in found:
+                    found[f"{name}_{part}"][k] = data.body(name).xquat[i]
+    return found
+
+
+def solved(file, columns, base=None):
+    """Return the joints' positions from tracked points; base: known joints."""
+    moved = None if base is None else Series(T, base)
+    return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), moved, Path("run.csv"))
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 10_000), points=st.sampled_from([("tip", "elbow_marker"), ("fore+",), ("tip", "upper+")]))
+def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed, points):
+    file = write(tmp_path_factory.mktemp("arm"), "0.2 2.4")
+    random = np.random.default_rng(seed)
+    low, high = np.array([(-1, 1), (-1.5, 1.5), (-1.5, 1.5), (0.2, 2.4)]).T
+    middle, half = (low + high) / 2, 0.4 * (high - low)
+    true = middle + half * np.sin(np.outer(T, random.uniform(1, 4, 4)) + random.uniform(0, 6, 4))
+    found = solved(file, tracked(file, true, points))
+    seen = np.isin(T, found.t_s)
+    assert seen.sum() > 100
+    for name, of in zip(JOINTS, true[seen].T, strict=True):
+        assert found[name] == pytest.approx(of, abs=1e-6)
+
+
+def test_a_known_joint_is_not_sought(model):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker"))
+    found = solved(file, columns, {"rail": true[:, 0]})
+    assert found.columns.keys() == {"yaw", "shoulder", "elbow"}
+    assert found["shoulder"] == pytest.approx(true[:, 2], abs=1e-6)
+
+
+def test_a_coordinate_may_be_missing(model):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker"))
+    del columns["tip_y"]
+    assert solved(file, columns)["elbow"] == pytest.approx(true[:, 3], abs=1e-6)
+
+
+def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
+    file, true = model("-0.1 2.4"), motion(elbow=(0.9, 0.9))
+    found = solved(file, tracked(file, true, ("tip",)), {"rail": true[:, 0]})
+    stretched = true[:, 3] < 0.1  # the tip's distance from the shoulder hardly changes with the elbow there
+    assert stretched.any()
+    assert not np.isin(T[stretched], found.t_s).any()
+    assert len(found) > 100
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["tips_x"], "no site or body tips; did you mean tip.? the model has elbow_marker, tip, carriage,"),
+        (["tip_u"], "tip_u is no coordinate; name the columns of a site or body NAME_x"),
+        (["fore_x", "fore_qw", "fore_qx"], "the orientation of fore needs fore_qw to fore_qz"),
+    ],
+)
+def test_a_wrong_column_is_refused(model, names, message):
+    with pytest.raises(TrialError, match=message):
+        Skeleton(model(), names)
+
+
+def test_points_that_do_not_show_a_joint_are_refused(model):
+    file, true = model(), motion()
+    with pytest.raises(TrialError, match=r"do not show the position of rail, yaw, elbow; track more points"):
+        solved(file, tracked(file, true, ("tip",)))
+
+
+def test_several_poses_that_fit_are_refused(model):
+    file, true = model(), motion()
+    with pytest.raises(TrialError, match=r"several poses fit .* shoulder, elbow may be at .* or .*; track a point on"):
+        solved(file, tracked(file, true, ("tip",)), {"rail": true[:, 0]})
+    narrow = model("0.1 2.4")
+    found = solved(narrow, tracked(narrow, true, ("tip",)), {"rail": true[:, 0]})
+    assert found["elbow"] == pytest.approx(np.interp(found.t_s, T, true[:, 3]), abs=1e-6)
+
+
+@pytest.mark.parametrize("wrong", ["unit", "axes", "place"])
+def test_points_that_fit_no_pose_are_refused(model, wrong):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker"))
+    match wrong:
+        case "unit":
+            columns = {name: 1000 * x for name, x in columns.items()}
+        case "axes":  # y upwards
+            turned = {"x": "x", "y": "z", "z": "y"}
+            columns = {f"{n[:-1]}{turned[n[-1]]}": -x if n[-1] == "y" else x for n, x in columns.items()}
+        case "place":
+            columns["tip_x"], columns["elbow_marker_x"] = columns["elbow_marker_x"], columns["tip_x"]
+    with pytest.raises(
+        TrialError, match=r"run.csv: the tracked points differ by .* m from the model in its best poses"
+    ):
+        solved(file, columns)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ('<equality><joint joint1="yaw" joint2="elbow"/></equality>', "couples yaw with other joints"),
+        ('<equality><connect body1="fore" body2="turret" anchor="0 0 0"/></equality>', "couples shoulder with"),
+    ],
+)
+def test_joints_that_an_equality_couples_are_refused(model, extra, message):
+    with pytest.raises(TrialError, match=message):
+        Skeleton(model(extra=extra), ["tip_x", "tip_y", "tip_z"])
+    assert Skeleton(model(extra=extra.replace("fore", "carriage")), ["carriage_x"]).joints == ("rail",)
+
+
+def test_a_point_of_a_floating_body_is_refused(tmp_path):
+    file = write(tmp_path)
+    slide = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
+    file.write_text(file.read_text().replace(slide, "<freejoint/>"))
+    with pytest.raises(TrialError, match="body carriage has a joint that is no hinge or slide"):
+        Skeleton(file, ["tip_x"])
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Return the description of two recordings of tracked points in mm, 0.1 mm off, and what its command printed."""
+    folder = tmp_path_factory.mktemp("rig")
+    file = write(folder)
+    for number, mean in enumerate((0.8, 1.2), 1):
+        true = motion(elbow=(mean, 0.6))
+        columns = {name: 1e3 * x for name, x in tracked(file, true, ("tip", "elbow_marker"), 1e-4).items()}
+        columns |= {f"{name}_servo": x for name, x in zip(JOINTS[1:], true[:, 1:].T, strict=True)}
+        table = np.stack([T, *columns.values()], axis=1)
+        np.savetxt(folder / f"run-{number}.csv", table, delimiter=",", header="t," + ",".join(columns), comments="")
+    data = [str(folder / each) for each in ("arm.xml", "run-1.csv", "run-2.csv")]
+    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(folder / "stage.yaml")])
+    return folder / "stage.yaml", result
+
+
+def test_a_description_is_written_and_its_joints_are_checked(rig):
+    file, result = rig
+    assert result.exit_code == 0, result.output
+    assert "valid; 8 trials of rail (mujoco), yaw (mujoco), shoulder (mujoco), elbow (mujoco)" in result.stdout
+    channels = yaml.safe_load(file.read_text())["channels"]
+    assert channels.keys() == {"mocap", "command"}
+    assert channels["mocap"]["columns"]["tip_x"] == {"source": "tip_x", "unit": "mm"}
+    assert len(channels["mocap"]["columns"]) == 6
+    assert [*channels["command"]["columns"]] == ["yaw_servo", "shoulder_servo", "elbow_servo"]
+
+
+def test_a_trial_has_the_joints_and_not_the_points(rig):
+    elbow = next(t for t in tables.read(rig[0]) if t.name == "run-1/elbow")
+    assert elbow.channels.keys() == {"measured", "command"}
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: s["channels"].update(measured=s["channels"]["command"]), "is given together with measured"),
+        (lambda s: s["channels"].pop("mocap"), "a mujoco stage needs a channel measured"),
+        (lambda s: s["channels"]["mocap"]["columns"]["tip_x"].update(unit="rad"), "allowed are units of m"),
+        (lambda s: s["trials"][0].update(files={"command": "run-1.csv"}), "names no file for the mocap channel"),
+    ],
+)
+def test_a_wrong_description_is_refused(rig, change, message):
+    stage = yaml.safe_load(rig[0].read_text())
+    change(stage)
+    wrong = rig[0].with_name("wrong.yaml")
+    wrong.write_text(yaml.safe_dump(stage))
+    with pytest.raises(TrialError, match=re.escape(message)):
+        tables.read(wrong)
