@@ -1,5 +1,6 @@
 """Positions of a MuJoCo model's joints from motion capture of its sites and bodies."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from softarm.diagnosis.data.skeleton import Skeleton
 from softarm.diagnosis.data.stage_file import Stage
 from softarm.diagnosis.data.trials import Series, TrialError
-from softarm.schemas.trial import Column, Mechanism, TableChannel
+from softarm.schemas.trial import Column, TableChannel
 
 # Rows of a recording in which a pose is sought without one beside it.
 ROWS = 6
@@ -27,13 +28,16 @@ def skeleton_of(stage: Stage, base: Path) -> Skeleton | None:
     return Skeleton(stage.file(str(stage.about.model["mjcf"]), base), channels["mocap"].columns, moved)
 
 
-def with_joints(about: Mechanism, skeleton: Skeleton) -> Mechanism:
-    """Return the description of a mechanism with measured joints instead of tracked points."""
+def with_joints(stage: Stage, skeleton: Skeleton | None) -> Stage:
+    """Return a stage with measured joints instead of tracked points, if it has any."""
+    if skeleton is None:
+        return stage
+    about = stage.about
     others = {name: channel for name, channel in about.channels.items() if name != "mocap"}
     units = zip(skeleton.joints, skeleton.units, strict=True)
     joints = {name: Column(source="mocap", unit=unit) for name, unit in units}
     measured = TableChannel(time=about.channels["mocap"].time, columns=joints)
-    return about.model_copy(update={"channels": {"measured": measured, **others}})
+    return replace(stage, about=about.model_copy(update={"channels": {"measured": measured, **others}}))
 
 
 def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Path) -> Series:

@@ -82,10 +82,6 @@ def load(path: Path) -> tuple[Stage, ...]:
             stages = (Stage(one.name or called(path), one, one.table, one.trials, one.effects, False, path.parent),)
     except FileError as error:
         raise TrialError(str(error)) from None
-    names = [name for stage in stages for name in stage.about.parts or (stage.name,)]
-    for effect in stages[0].effects:
-        if (own := effect.rpartition(".")[0]) not in names:
-            raise TrialError(f"{path}: effects: {effect}: no mechanism {own}; allowed {', '.join(names)}; correct it")
     return stages
 
 

@@ -1,7 +1,7 @@
 """Reading of a rig's tables as trials, as its stage.yaml describes them."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -36,28 +36,29 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     default the folder of the stage.yaml. Raises TrialError with one line for each mistake, with file, column and row.
     """
     base = path.parent if data is None else data
-    stages = load(path)
+    described = load(path)
+    skeletons = [mocap.skeleton_of(stage, base) for stage in described]
+    stages = [*map(mocap.with_joints, described, skeletons)]
+    _refuse_unknown_effects(path, stages)
     table_of = cache(partial(table_files.load, form=stages[0].form))  # a file that serves many trials is read once
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
     wrong: dict[str, None] = {}
-    for stage in stages:
-        skeleton = mocap.skeleton_of(stage, base)
-        about = stage.about if skeleton is None else mocap.with_joints(stage.about, skeleton)
-        for recording in _split(recordings(path, base, stage), table_of):
+    for raw, stage, skeleton in zip(described, stages, skeletons, strict=True):
+        for recording in _split(recordings(path, base, raw), table_of):
             if isinstance(recording, TrialError):
                 wrong[str(recording)] = None
                 continue
             found: dict[int | None, _Read] = {}
-            for element in about.parts or ("",):
-                place = about.elements.get(element)
+            for element in stage.about.parts or ("",):
+                place = stage.about.elements.get(element)
                 try:
                     if place not in found:  # all joints of a model share their rows
-                        found[place] = _read(stage.about, recording, place, table_of, skeleton)
-                    trial = _trial(replace(stage, about=about), recording, element, base, found[place])
+                        found[place] = _read(raw.about, recording, place, table_of, skeleton)
+                    trial = _trial(stage, recording, element, base, found[place])
                 except TrialError as error:
                     wrong[str(error)] = None
                     continue
-                at = Columns(about, {"measured": recording.files.get("mocap", trial.source), **recording.files})
+                at = Columns(stage.about, {"measured": recording.files.get("mocap", trial.source), **recording.files})
                 mistakes, odd = table_checks.judge(trial, at)
                 wrong |= dict.fromkeys(mistakes)
                 if not mistakes:
@@ -74,6 +75,14 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
             shown.append(f"{path}: and {more} more; correct these first")
         raise TrialError("\n".join(shown))
     return tuple(trials)
+
+
+def _refuse_unknown_effects(path: Path, stages: Sequence[Stage]) -> None:
+    """Raise TrialError if the nominal model has an effect of a mechanism that the file does not describe."""
+    names = [name for stage in stages for name in stage.about.parts or (stage.name,)]
+    for effect in stages[0].effects:
+        if (own := effect.rpartition(".")[0]) not in names:
+            raise TrialError(f"{path}: effects: {effect}: no mechanism {own}; allowed {', '.join(names)}; correct it")
 
 
 def _split(found: Iterable[Recording | TrialError], table_of: TableOf) -> Iterator[Recording | TrialError]:

@@ -217,12 +217,24 @@ def test_a_trial_has_the_joints_and_not_the_points(rig):
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
 
 
+def test_effects_of_the_nominal_model_name_joints(rig):
+    stage = yaml.safe_load(rig[0].read_text()) | {"effects": {"elbow.gain": {"scale": 0.1}}}
+    other = rig[0].with_name("effects.yaml")
+    other.write_text(yaml.safe_dump(stage))
+    elbow = next(t for t in tables.read(other) if t.name == "run-1/elbow")
+    assert elbow.stage.effects == {"gain": {"scale": 0.1}}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda s: s["channels"].update(measured=s["channels"]["command"]), "is given together with measured"),
         (lambda s: s["channels"].pop("mocap"), "a mujoco stage needs a channel measured"),
         (lambda s: s["channels"]["mocap"]["columns"]["tip_x"].update(unit="rad"), "allowed are units of m"),
+        (
+            lambda s: s.update(effects={"tip.gain": {"scale": 0.1}}),
+            "no mechanism tip; allowed rail, yaw, ",
+        ),
         (lambda s: s["trials"][0].update(files={"command": "run-1.csv"}), "names no file for the mocap channel"),
     ],
 )
