@@ -87,7 +87,7 @@ def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Sign
         if joint.name in poses:
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
-        signals = [s for s in draft.moving if not s.elements and s not in taken and _owner(s, joints) == joint]
+        signals = [s for s in draft.moving if not s.elements and s not in taken and joint in _owners(s, joints)]
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
         command = _first(draft, commands, _no_commands(joint))
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
@@ -191,12 +191,14 @@ def _is_command(signal: Signal, joint: ModelJoint) -> bool:
     return _plain(signal.header.name) == _plain(joint.actuator) != _plain(joint.name)
 
 
-def _owner(signal: Signal, joints: Sequence[ModelJoint]) -> ModelJoint | None:
-    """Return the joint whose name, or whose actuator's name, a column's header contains; the longest name wins."""
-    header = _plain(signal.header.name)
-    found = {len(own): joint for joint in joints for own in map(_plain, (joint.actuator, joint.name)) if own in header}
-    found.pop(0, None)
-    return found[max(found)] if found else None
+def _owners(signal: Signal, joints: Sequence[ModelJoint]) -> list[ModelJoint]:
+    """Return the joints whose name, or whose actuator's name, a column's header contains; the longest name wins."""
+    header, found = _plain(signal.header.name), dict[int, list[ModelJoint]]()
+    for joint in joints:
+        for own in {_plain(joint.actuator), _plain(joint.name)} - {""}:
+            if own in header:
+                found.setdefault(len(own), []).append(joint)
+    return found[max(found)] if found else []
 
 
 def _first(draft: Draft, signals: Sequence[Signal], excluded: Sequence[str]) -> Signal | None:

@@ -1,7 +1,7 @@
 """Actuators of a MuJoCo model, and the joints that they move."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,11 @@ MOVES = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """Affine actuator of one joint: joint torque = scale command + offset - kp position - kd speed, clipped.
+    """Affine actuator as one joint feels it: joint torque = scale command + offset - kp position - kd speed, clipped.
 
-    Units are those of the joint's torque (N m or N) and position (rad or m).
+    Units are those of the joint's torque (N m or N) and position (rad or m). An actuator on a tendon over several
+    joints feels the others as well: kp position becomes kp (position + along / gear), where `along` is its length by
+    the positions of the others, and kd speed likewise.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Actuator:
     gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
     own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
     joint_limited: bool = False  # by `actuatorfrcrange` of its joint, besides its own range
+    others: Mapping[str, float] = field(default_factory=dict)  # other joint that it moves -> length per position
 
     def torque(self, command: Array, position: Array, speed: Array) -> Array:
         """Return the joint torque at each sample, [T each]."""
@@ -63,11 +66,11 @@ class Actuators:
         instead = f"give its torque under `torque`, as {joint}"
         if len(own) > 1:
             return None, f"joint {joint} has {len(own)} actuators ({names}); allowed is one; join them, or {instead}"
-        if not (self._is_affine(own[0]) and self._is_of_one_joint(own[0], dof)):
+        if not (self._is_affine(own[0]) and self._is_linear(own[0])):
             return None, (
                 f"joint {joint} is moved by {names}, which is neither a motor, position, velocity nor general actuator "
-                "of one joint, or of a tendon with a constant ratio to it, with fixed gain and affine bias; write it "
-                f"as one of these, or {instead}"
+                "of a joint, or of a tendon with constant ratios to its joints, with fixed gain and affine bias; write "
+                f"it as one of these, or {instead}"
             )
         return self._read(own[0], dof, number), ""
 
@@ -95,12 +98,14 @@ class Actuators:
             affine & (m.actuator_dyntype[i] in map(int, (dyn.mjDYN_NONE, dyn.mjDYN_FILTER, dyn.mjDYN_FILTEREXACT)))
         )
 
-    def _is_of_one_joint(self, i: int, dof: int) -> bool:
-        """Return whether an actuator moves one joint alone, and its length is a multiple of that joint's position."""
-        ratio, position = self._moments[i, dof], self._zero[self._model.jnt_qposadr[self._model.dof_jntid[dof]]]
-        slack = MOVES * self._most[i]
-        constant = abs(ratio - self._elsewhere[i, dof]) < slack
-        return bool(constant and self._moves(i).sum() == 1 and abs(self._lengths[i] - ratio * position) < slack)
+    def _is_linear(self, i: int) -> bool:
+        """Return whether an actuator's length is a sum of multiples of the positions of hinges and slides."""
+        m, kinds, slack = self._model, self._mujoco.mjtJoint, MOVES * self._most[i]
+        numbers = m.dof_jntid[np.flatnonzero(self._moves(i))]
+        single = np.isin(m.jnt_type[numbers], (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE))).all()
+        length = self._moments[i, m.jnt_dofadr[numbers]] @ self._zero[m.jnt_qposadr[numbers]]
+        constant = np.abs(self._moments[i] - self._elsewhere[i]).max() < slack
+        return bool(single and constant and abs(self._lengths[i] - length) < slack)
 
     def _read(self, i: int, dof: int, number: int) -> Actuator:
         m, mujoco = self._model, self._mujoco
@@ -128,4 +133,9 @@ class Actuators:
             gear=gear,
             own_gear=own_gear,
             joint_limited=bool(m.jnt_actfrclimited[number]),
+            others={
+                self._name_of("joint", int(m.dof_jntid[other])): float(self._moments[i, other])
+                for other in np.flatnonzero(self._moves(i))
+                if other != dof
+            },
         )

@@ -13,6 +13,8 @@ from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 LEAST_GAIN = -0.998
 # Relative error of masses, at least: with less, all torques could shrink together, and no data would show it.
 LEAST_MASS = -0.5
+# Effects of an actuator that have one size for all joints that it moves.
+ACTUATOR = "gain", "position_gain", "lag", "dead_time"
 # Beginning of the name of an error of one part's mass.
 MASS = "mass_"
 # Share of the usual torque: a friction that matters.

@@ -18,7 +18,7 @@ import numpy as np
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
-from softarm.diagnosis.rigs.mjcf.effects import MASS
+from softarm.diagnosis.rigs.mjcf.effects import ACTUATOR, MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Inertial, Joint, Mechanism, mechanism
 from softarm.schemas.verdict import Verdict
@@ -61,6 +61,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         return None
     stages = {*verdict.where.share, *(place.partition(".")[0] for place in found)}
     model, left_out = mechanism(path, stages), []
+    found = _agreed(found, model)
     before = model.mjcf()
     edits = _Edits(before)
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
@@ -102,6 +103,28 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         before.splitlines(keepends=True), after.splitlines(keepends=True), path.name, f"patched {path.name}", n=0
     )
     return MjcfPatch(after, "".join(lines), tuple(left_out))
+
+
+def _agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
+    """Return the findings with one size for all joints that an actuator moves: the mean over those that show it."""
+    sizes: dict[str, dict[str, list[float]]] = {}  # by actuator and parameter; limits are those of the actuator
+    moved: dict[str, Joint] = {}
+    for place, value in found.items():
+        name, _, parameter = place.partition(".")
+        actuator = model.joint(name).actuator
+        if actuator is None or not actuator.others:
+            continue
+        moved[name] = model.joint(name)
+        if parameter == "ceiling.limit" or parameter.partition(".")[0] in ACTUATOR:
+            worth = abs(actuator.gear) if parameter == "ceiling.limit" else 1.0
+            sizes.setdefault(actuator.name, {}).setdefault(parameter, []).append(value / worth)
+    agreed = dict(found)
+    for name, joint in moved.items():
+        assert joint.actuator is not None
+        for parameter, values in sizes.get(joint.actuator.name, {}).items():
+            worth = abs(joint.actuator.gear) if parameter == "ceiling.limit" else 1.0
+            agreed[f"{name}.{parameter}"] = worth * float(np.mean(values))
+    return agreed
 
 
 def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, mechanism
 from softarm.diagnosis.rigs.mjcf.patch import standard
@@ -32,6 +33,8 @@ _FIELDS = {
     "backlash.gap": "backlash",
     "sensor_bias.bias": "sensor_bias",
 }
+
+_OF_LOOP = "rate_per_s", "command_bias", "deadband"
 
 
 class Parameters(NamedTuple):
@@ -92,7 +95,8 @@ class RuntimeEffects:
             best_fit: whether joints with a best fit have that instead, as in the patch.
 
         Raises:
-            TrialError: the model cannot be read, or lacks a joint of the verdict.
+            TrialError: the model cannot be read, lacks a joint of the verdict, or has a loop over several joints with
+                an effect that acts on its error.
         """
         found, intervals = Verdict.model_validate_json(verdict.read_bytes()), {}
         robot = mechanism(model, found.where.share)
@@ -101,7 +105,9 @@ class RuntimeEffects:
         for path, of in found.findings(calibration, best_fit).items():
             stage, _, name = path.partition(".")
             if field := _FIELDS.get(name):
-                values[field][joints.index(robot.joint(stage))] = standard(*of)
+                place = joints.index(robot.joint(stage))
+                _refuse_common(joints[place], field, path)
+                values[field][place] = standard(*of)
         for effect in found.effects:
             stage, _, name = effect.name.partition(".")
             place = joints.index(robot.joint(stage))
@@ -215,6 +221,15 @@ class Simulation:
         data.qfrc_applied[dof], self._model.dof_frictionloss[dof] = applied.qfrc_applied, applied.frictionloss
         self._step(self._model, data)
         self._state, self.readings = self._effects.measure(self._state, data.qpos[self._position])
+
+
+def _refuse_common(joint: Joint, field: str, path: str) -> None:
+    """Raise TrialError for an effect on the error of a position loop over several joints, which has no one joint."""
+    if joint.follows and joint.actuator is not None and joint.actuator.others and field in _OF_LOOP:
+        raise TrialError(
+            f"{path}: {joint.actuator.name} moves {joint.name} and {', '.join(joint.actuator.others)}, and this effect "
+            "acts on one joint at run time; apply it to the command of the actuator yourself"
+        )
 
 
 def _pushed(last: Any, newest: Any, xp: Any) -> Any:

@@ -56,6 +56,7 @@ class JointSimulation:
         steps: Stepping,
         motions: Sequence[Motion],
         inputs: Sequence[tuple[Array, Array]],
+        along: Sequence[tuple[Array, Array]],
         each: int,
     ) -> None:
         """Prepare the inputs.
@@ -67,11 +68,13 @@ class JointSimulation:
             steps: the model's own integration.
             motions: measured motion of each trial.
             inputs: stamps and integral of each trial's command; empty without an actuator.
+            along: length and speed of the actuator by the other joints that it moves, [T] of each trial.
             each: integration steps per sample.
         """
         self._joint, self._actuator, self._motions = joint, actuator, motions
         self._inputs, self._each = inputs, each
         self._slopes, self._steps = slopes, steps
+        self._along = tuple(map(self._stepped, zip(*along, strict=True))) if along else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
         kept = lru_cache(KEPT)
         self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
@@ -162,15 +165,24 @@ class JointSimulation:
         """Return the drive at every integration step, [M each]."""
         early_s = self._steps.half_s * at[STEPPED]
         delay_s = at.get("dead_time.delay", 0.0) + at.get("latency.delay", 0.0) - early_s
-        factor = (1 + at.get("gain.scale", 0.0)) * (1 + at.get("position_gain.scale", 0.0))
+        factor = 1 + at.get("gain.scale", 0.0)
+        stiff = factor * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
-        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor)
+        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor, stiff)
 
-    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float) -> Array:
+    def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float, stiff: float) -> Array:
         actuator = self._actuator
         if actuator is None:
             return np.zeros(sum(len(m.seen) for m in self._motions) * self._each)
-        return np.asarray(factor * (actuator.scale * (self._followed(delay_s, lag_s, rate) + bias) + actuator.offset))
+        (length, speed), sent = self._along, self._followed(delay_s, lag_s, rate) + bias
+        loop = actuator.scale * sent + actuator.offset - actuator.kp / actuator.gear * length
+        return np.asarray(stiff * loop - factor * actuator.kd / actuator.gear * speed)
+
+    def _stepped(self, signals: Sequence[Array]) -> Array:
+        """Return signals [T] of all trials at every integration step, [M each]."""
+        places = (np.arange(len(signal) * self._each) / self._each for signal in signals)
+        pairs = zip(places, signals, strict=True)
+        return np.concatenate([np.interp(place, np.arange(len(signal)), signal) for place, signal in pairs])
 
     def _follow(self, delay_s: float, lag_s: float, rate: float) -> Array:
         """Return the command that reaches the actuator at every integration step, [M each]."""

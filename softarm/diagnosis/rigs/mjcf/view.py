@@ -16,17 +16,14 @@ from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import (
     fastest_change,
-    held_integral,
-    held_means,
     resolution,
     usual_step,
 )
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks
-from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf import checks, drive
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
-from softarm.diagnosis.rigs.mjcf.effects import MASS, JointScales, adds_mass, joint_effects, part_effects
+from softarm.diagnosis.rigs.mjcf.effects import ACTUATOR, MASS, JointScales, adds_mass, joint_effects, part_effects
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
@@ -91,16 +88,17 @@ class JointView(RigView):
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
         stage = stage_of(trials)
-        self._mechanism = mechanism(Path(str(stage.model["mjcf"])), *_columns(trials))
+        self._mechanism = mechanism(Path(str(stage.model["mjcf"])), *drive.columns(trials))
         self._joint = joint = self._mechanism.joint(stage.name)
         self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
-        self._actuator, self._inputs = self._drive(trials)
+        self._actuator, self._inputs = drive.inputs(joint, trials)
         step = resolution([t.channel("measured")[joint.name] for t in trials])
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
-        self._sent = self._sampled_commands()
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
+        self._along = drive.along(self._actuator, self._others.around)
+        self._sent = drive.sent(self._actuator, self._inputs, self._along, self._motions)
         self._slopes = Slopes(self._mechanism, joint, self._others)
         self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
@@ -111,7 +109,9 @@ class JointView(RigView):
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         parts = [part for part in joint.parts if "." not in part] if scales.mass else []
-        self.together, self.whole = part_effects(stage.name, parts), self.whole | {MASS + part for part in parts}
+        common = ACTUATOR if self._actuator is not None and self._actuator.others else ()
+        self.shared = self.shared.union(common)
+        self.together, self.whole = part_effects(stage.name, parts), self.whole.union(common, (MASS + p for p in parts))
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
@@ -146,7 +146,14 @@ class JointView(RigView):
     def _simulated(self, edges: Sequence[NDArray[np.int64]]) -> JointSimulation:
         """Return the simulation of windows with these edges, by trial."""
         found = JointSimulation(
-            self._joint, self._actuator, self._slopes, self._mechanism.stepping, self._motions, self._inputs, self._each
+            self._joint,
+            self._actuator,
+            self._slopes,
+            self._mechanism.stepping,
+            self._motions,
+            self._inputs,
+            self._along,
+            self._each,
         )
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
         found.start(self.measured[:, 0], edges, slow, nominal, self._own_floor)
@@ -211,6 +218,8 @@ class JointView(RigView):
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
+        if effect in ACTUATOR and self._actuator is not None:
+            return f"actuator {self._actuator.name}"
         return effect.removeprefix(MASS) if effect.startswith(MASS) else self._end if effect == "payload" else "base"
 
     def _unstable_s(self) -> float:
@@ -251,31 +260,6 @@ class JointView(RigView):
         stiff = self._actuator.kp / self._scales.inertia if self._actuator is not None else 0.0
         longest = min(self._mechanism.step_s, STEP_S, STEP_SHARE / max(np.sqrt(stiff), 1e-9))
         return int(min(np.ceil(self._scales.step_s / longest), SUBSTEPS_MOST))
-
-    def _drive(self, trials: Sequence[Trial]) -> tuple[Actuator | None, list[tuple[Array, Array]]]:
-        """Return the joint's actuator, and stamps and integral of every trial's command within its range.
-
-        A measured torque replaces the actuator. Without either there are no commands.
-        """
-        joint, actuator, channel = self._joint, self._joint.actuator, "command"
-        if not _lacking(trials, "torque", joint.name):
-            actuator, channel = Actuator(joint.name), "torque"
-        elif joint.problem:
-            raise TrialError(joint.problem)
-        elif actuator is None:
-            return None, []
-        elif lacking := _lacking(trials, channel, actuator.name):
-            raise TrialError(
-                f"{lacking[0].source}: joint {joint.name} is moved by the actuator {actuator.name}, whose command is "
-                f"missing; add a column {actuator.name} to `command`, or {joint.name} to `torque`"
-            )
-        low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
-        return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
-
-    def _sampled_commands(self) -> list[Array]:
-        """Return each trial's command at its samples, [T]; without an actuator there are none."""
-        pairs = zip(self._inputs, self._motions if self._inputs else (), strict=True)
-        return [held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs]
 
     def _refuse_follower(self, trials: Sequence[Trial]) -> None:
         """Raise TrialError for a joint whose motion that of another determines."""
@@ -483,14 +467,3 @@ class JointView(RigView):
             if end - first < SAMPLES_LEAST and out[[max(first - 1, 0), min(end, len(out) - 1)]].any():
                 seen[first:end] = np.nan
         return seen
-
-
-def _columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
-    """Return the columns of `measured` and of `base`."""
-    measured, base = ([t.channels[name].columns for t in trials if name in t.channels] for name in ("measured", "base"))
-    return set().union(*measured), set().union(*base)
-
-
-def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:
-    """Return the trials without a column."""
-    return [t for t in trials if channel not in t.channels or column not in t.channels[channel].columns]
