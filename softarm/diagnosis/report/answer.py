@@ -8,6 +8,7 @@ from softarm.diagnosis.report.words import (
     calibration_in_words,
     described,
     model_word,
+    name_of,
     noise_level,
     one_of,
     plain,
@@ -125,7 +126,7 @@ def _how_sure(diagnosis: Diagnosis) -> str:
 def _shrinks(diagnosis: Diagnosis) -> str:
     gap, stage = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
     one, *more = diagnosis.verdict.causes
-    it = "all of them" if more else one.name if one.equivalents else "it"
+    it = "all of them" if more else name_of(one) if one.equivalents else "it"
     places = [(stage, f"the gap of the {stage} stage")]
     if stage != "chain":
         places.append(("chain", "the gap at the tip"))

@@ -8,6 +8,7 @@ from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.diagnosis.report import causal, following
 from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, equal_sets, headline
 from softarm.diagnosis.report.words import (
+    alternatives,
     calibration_in_words,
     corrected,
     entries,
@@ -60,9 +61,7 @@ def result(diagnosis: Diagnosis) -> Html:
 def _card(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
     """Return the card of a cause: its sentence, size, confidence, and share of the gap."""
     own = entries(diagnosis, effect)
-    codes = (
-        listed([each.name for each in own]) if effect.shared_by else listed((effect.name, *effect.equivalents), "or")
-    )
+    codes = ", or ".join((listed([each.name for each in own]), *alternatives(effect)))
     shares = [f"{percents(each.shrink.stage)} of the {each.name.rpartition('.')[0]} gap" for each in own]
     takes = f"takes {listed(shares)}"
     tip, at_tip = diagnosis.verdict.gap.before.get("chain"), effect.shrink.chain

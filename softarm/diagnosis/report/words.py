@@ -126,7 +126,17 @@ def stages_with(effect: NamedEffect) -> tuple[str, ...]:
 
 def name_of(effect: NamedEffect) -> str:
     """Return an effect's name, such as `pan.payload`, or `payload of pan and tilt` for one that stages share."""
-    return f"{effect.name.rpartition('.')[2]} of {listed(effect.shared_by)}" if effect.shared_by else effect.name
+    return _shared(effect, effect.name)
+
+
+def alternatives(effect: NamedEffect) -> list[str]:
+    """Return the names of the effects that no data separate from an effect, as `name_of` has them."""
+    return [_shared(effect, other) for other in effect.equivalents]
+
+
+def _shared(effect: NamedEffect, name: str) -> str:
+    """Return the name of an effect or of its equivalent, with all stages that share it."""
+    return f"{name.rpartition('.')[2]} of {listed(effect.shared_by)}" if effect.shared_by else name
 
 
 def described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
@@ -154,7 +164,7 @@ def plain(diagnosis: Diagnosis, effect: NamedEffect) -> str:
         text = of.plain.format(stage=listed(stages_with(effect)), **shown)
     except KeyError:  # a parameter stays neutral
         text = of.meaning
-    return f"either {text}, or {listed(effect.equivalents, 'or')} looks the same" if effect.equivalents else text
+    return f"either {text}, or {listed(alternatives(effect), 'or')} looks the same" if effect.equivalents else text
 
 
 def sentence(text: str) -> str:
@@ -186,7 +196,7 @@ def one_of(effect: NamedEffect) -> str:
     """Return an effect's name, or its set of indistinguishable effects."""
     if not effect.equivalents:
         return effect.name
-    return f"either {listed((effect.name, *effect.equivalents), 'or')} (this data cannot separate them)"
+    return f"either {listed((name_of(effect), *alternatives(effect)), 'or')} (this data cannot separate them)"
 
 
 def sizes(effect: NamedEffect) -> str:

@@ -59,7 +59,8 @@ def judged(
     except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
         return []
     judgements = (
-        _judged(effect, common[effect, part], joint, stages, found) for (effect, part), stages in loaded.items()
+        _judged(effect, common[effect, part], joint, {s: made[s][0] for s in stages}, found)
+        for (effect, part), stages in loaded.items()
     )
     return [each for each in judgements if each is not None]
 
@@ -153,9 +154,9 @@ def _searched(
 
 
 def _judged(
-    effect: str, common: Candidate, joint: Examination, stages: Sequence[str], found: Mapping[str, Finding]
+    effect: str, common: Candidate, joint: Examination, stages: Mapping[str, RigView], found: Mapping[str, Finding]
 ) -> Judgement | None:
-    """Return the judgement on one effect, or None if the stages together leave it open."""
+    """Return the judgement on one effect, or None if the stages together leave it open; stages: views by stage."""
     chosen = {each.candidate.name: each for each in joint.choice.selected}
     if common.name in chosen and _holds(joint, chosen[common.name]):
         judgement = _named(effect, joint, chosen[common.name], stages, found)
@@ -223,7 +224,7 @@ def _named(
     effect: str,
     joint: Examination,
     selected: SelectedEffect,
-    stages: Sequence[str],
+    stages: Mapping[str, RigView],
     found: Mapping[str, Finding],
 ) -> Judgement | None:
     """Return the judgement on an effect that the search over all stages has chosen, or None if no gap shows it."""
@@ -236,11 +237,14 @@ def _named(
 
     def entry(stage: str) -> NamedEffect:
         before, after = (squares_of(joint, each, stage) for each in (without, fit))
+        own = f"{stage}.{effect}"
+        alike = [other for other in selected.equivalents if other.startswith(f"{stage}.")]
+        alike += stages[stage].indistinguishable.get(own, ())
         return NamedEffect(
-            name=f"{stage}.{effect}",
+            name=own,
             parameters={key: sizes[key] for key in _sizes(found[stage], effect)},
             confidence=confidence("rig", selected),
-            equivalents=tuple(other for other in selected.equivalents if other.startswith(f"{stage}.")),
+            equivalents=tuple(dict.fromkeys(alike)),
             shared_by=shown if len(shown) > 1 else (),
             shrink=Shrink(stage=share(*shrink.interval(before, after))),
         )

@@ -303,6 +303,19 @@ def test_an_effect_that_stages_share_is_one_cause():
     assert "74 % (70 to 78) of the tilt gap and 74 % (70 to 78) of the pan gap" in page
 
 
+def test_a_set_that_stages_share_names_them_all():
+    late = {"shared_by": ("tilt", "pan")}
+    tilt, pan = (
+        alike(DEAD_TIME.model_copy(update={"name": f"{s}.dead_time"} | late), f"{s}.latency") for s in ("tilt", "pan")
+    )
+    found = diagnosis(verdict=verdict(effects=(tilt, pan)), nominal=None, patched=None)
+    assert report.answer(found)[0] == (
+        "Missing in the model: either dead_time of tilt and pan or latency of tilt and pan (this data cannot separate "
+        "them)."
+    )
+    assert "tilt.dead_time and pan.dead_time , or latency of tilt and pan" in Page(report.render(found)).words
+
+
 def test_many_effects_are_grouped_by_law():
     many = [DEAD_TIME.model_copy(update={"name": f"servo{i}.lag"}) for i in (1, 2, 3)]
     many.append(alike(DEAD_TIME.model_copy(update={"name": "servo1.deadband"}), "servo1.backlash"))

@@ -141,7 +141,7 @@ def _drive(s: JointScales) -> Iterator[Effect]:
     yield like(
         "pressure.dead_time",
         "the actuator reacts late",
-        "{stage} reacts {delay} late",
+        "the actuator of {stage} reacts {delay} late",
         strength("delay", "s", 0.0, -0.5 * s.step_s, late, usual, "from the command to the first torque"),
     )
     yield like(

@@ -125,6 +125,16 @@ def test_a_weak_actuator_is_one_effect_with_one_size(tmp_path):
     assert model.actuator("flexor").gainprm[0] == pytest.approx(2.1, rel=0.03)
 
 
+@pytest.mark.prove
+def test_a_late_actuator_and_late_readings_of_all_joints_are_one_set(tmp_path):
+    verdict = diagnose_table(tables.read(recorded(tmp_path, finger(), late=4, seconds=10.0))).verdict
+    assert {(effect.name, effect.equivalents) for effect in verdict.effects} == {
+        ("knuckle.dead_time", ("knuckle.latency",)),
+        ("middle.dead_time", ("middle.latency",)),
+    }
+    assert all(effect.parameters["delay"].value == pytest.approx(0.04, abs=1e-3) for effect in verdict.effects)
+
+
 def test_the_patch_has_one_size_of_each_parameter(tmp_path):
     (tmp_path / "finger.xml").write_text(finger())
     changes = [
