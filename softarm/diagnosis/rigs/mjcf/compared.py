@@ -76,7 +76,8 @@ def compared(
 
 def _needed(joint: Joint, terms: Array, motion: Motion) -> Array:
     friction = joint.viscous * motion.speed + joint.friction * np.sign(motion.speed)
-    return torque(terms, motion.position, motion.speed, motion.acceleration) + friction
+    spring = 0.0 if joint.follows else joint.spring * (motion.position - joint.rest)
+    return torque(terms, motion.position, motion.speed, motion.acceleration) + friction + spring
 
 
 def _width(command: Array, step_s: float) -> float:

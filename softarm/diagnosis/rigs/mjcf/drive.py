@@ -7,6 +7,7 @@ import numpy as np
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_integral, held_means
+from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.motion import Motion
@@ -86,6 +87,16 @@ def sent(
         return found
     kp, kd = (each / (actuator.gear * actuator.scale) for each in (actuator.kp, actuator.kd))
     return [command - kp * length - kd * speed for command, (length, speed) in zip(found, lengths, strict=True)]
+
+
+def acting(actuator: Actuator | None, commands: Sequence[Array], motions: Sequence[Motion]) -> list[Array]:
+    """Return each trial's command after the lag of the actuator, [T]; commands: result of `sent`."""
+    if actuator is None or not actuator.lag_s:
+        return [*commands]
+    found = [np.empty_like(command) for command in commands]
+    for command, m, out in zip(commands, motions, found, strict=True):
+        laws.follow(command, np.inf, actuator.lag_s, m.grid.step_s, out)
+    return found
 
 
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:

@@ -295,8 +295,9 @@ class JointView(RigView):
             if wrong := misread(self._mechanism, joint, self._others.smoothed(smooth)):
                 raise TrialError(f"{where}: {wrong}")
             return []
-        smooth = smoother(self._motions, self._sent, free)
-        signals = compared(joint, self._motions, self._sent, smooth, self._terms_along)
+        sent = drive.acting(self._actuator, self._sent, self._motions)
+        smooth = smoother(self._motions, sent, free)
+        signals = compared(joint, self._motions, sent, smooth, self._terms_along)
         if found := [*checks.mistakes(joint, where, signals)]:
             raise TrialError("\n".join(found))
 

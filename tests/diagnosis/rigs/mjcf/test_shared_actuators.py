@@ -33,7 +33,7 @@ def finger(actuator=LOOP, tendon=FIXED):
     return FINGER.replace("TENDON", tendon).replace("ACTUATOR", actuator)
 
 
-def recorded(folder, model, gain=1.0, late=0, seconds=5.0, trials=3, columns=tuple(RATIOS)):
+def recorded(folder, model, gain=1.0, late=0, size=0.25, seconds=5.0, trials=3, columns=tuple(RATIOS)):
     """Record a finger with another gain, whose actuator receives commands samples late, and describe it."""
     (folder / "finger.xml").write_text(model)
     robot = mujoco.MjModel.from_xml_string(model)
@@ -43,7 +43,7 @@ def recorded(folder, model, gain=1.0, late=0, seconds=5.0, trials=3, columns=tup
         data, random, rows = mujoco.MjData(robot), np.random.default_rng(number), []
         turns, hertz = random.uniform(0, 6, 4), np.array([0.3, 0.7, 1.3, 2.1])
         t = 0.01 * np.arange(int(100 * seconds))
-        commands = 0.25 * np.sin(2 * np.pi * hertz * t[:, None] + turns).sum(axis=1)
+        commands = size * np.sin(2 * np.pi * hertz * t[:, None] + turns).sum(axis=1)
         for k in range(len(t)):
             data.ctrl[0] = commands[max(k - late, 0)]
             rows.append((t[k], commands[k], *(data.qpos + 5e-5 * random.normal(size=2))))
@@ -170,3 +170,11 @@ def test_a_joint_that_no_column_measures_is_required(tmp_path):
 def test_a_tendon_whose_ratios_change_is_refused(tmp_path):
     (tmp_path / "finger.xml").write_text(finger(tendon=SPATIAL))
     assert "moved by flexor, which is neither" in Mechanism(tmp_path / "finger.xml").joint("middle").problem
+
+
+@pytest.mark.parametrize("lag", ["", ' dyntype="filterexact" dynprm="0.3"'])
+def test_a_muscle_that_bends_springs_of_the_model_is_no_position_loop(tmp_path, lag):
+    """The torque is nearly a multiple of the angle."""
+    muscle = f'<general name="flexor" tendon="flexor"{lag}/>'
+    trials = tables.read(recorded(tmp_path, finger(muscle).replace('stiffness="0.', 'stiffness="10.'), size=5.0))
+    assert [view_of(of_joint(trials, name))[0].assumptions for name in RATIOS] == [(), ()]
