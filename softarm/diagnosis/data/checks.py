@@ -1,16 +1,18 @@
 """Checks of stamps and units before a fit; every warning contains its remedy."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from softarm.common.quantity import UNITS
-from softarm.diagnosis.data.trials import Array, Series
+from softarm.diagnosis.data.trials import Array, Series, TrialError
 from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 # A gap is longer than this many usual steps and this time.
 GAP_FACTOR, GAP_MIN_S = 5.0, 0.05
+# Error of a quaternion's length up to which the four columns are one.
+LENGTH_ERROR = 0.05
 # A longer step is a jump of the clock, not a pause.
 SPLIT_S = 60.0
 # Ratios of two columns that should agree, within 15 %, and the unit that each suggests.
@@ -50,6 +52,20 @@ def tidy_stamps(series: Series, where: str, *, gaps: bool = True) -> tuple[Serie
     if len(keep) < len(t) or backwards.size:
         series = Series(t[keep], {name: values[keep] for name, values in series.columns.items()})
     return series, (*warnings, *(_gaps(series.t_s, where) if gaps else ()))
+
+
+def unit_quaternions(series: Series, columns: Sequence[str], where: str) -> Array:
+    """Return the quaternions of four columns, [T, 4]; raise TrialError if their length is not one."""
+    found = np.stack([series[name] for name in columns], axis=1)
+    lengths = np.linalg.norm(found, axis=1)
+    row = int(np.abs(lengths - 1).argmax())
+    if (worst := float(np.abs(lengths[row] - 1))) > LENGTH_ERROR:
+        raise TrialError(
+            f"{where}: {', '.join(columns)} have a length of {lengths[row]:.3g} at {series.t_s[row]:.3f} s "
+            f"(error {worst:.2g}; allowed: {LENGTH_ERROR}); name the four parts of a unit quaternion, or mark "
+            "rows without one by `missing`"
+        )
+    return found
 
 
 def _gaps(t: Array, where: str) -> Iterator[str]:

@@ -12,8 +12,9 @@ from softarm.schemas.trial import Column, TableChannel
 
 # Rows of a recording in which a pose is sought without one beside it.
 ROWS = 6
-# Largest error of the points, as a share of the reach; distance from which two poses differ, rad or m.
-MISFIT, APART = 0.02, 0.05
+# Largest error of the points, as a share of the reach; share of the rows in which it may be larger; and distance from
+# which two poses differ, rad or m.
+MISFIT, LOST, APART = 0.02, 0.05, 0.05
 # Least motion of the points per motion of the joints: of the usual row as a share of the reach, of a row as a share of
 # the usual one.
 UNDETERMINED, NEARLY = 1e-3, 0.3
@@ -40,10 +41,10 @@ def with_joints(stage: Stage, skeleton: Skeleton | None) -> Stage:
     return replace(stage, about=about.model_copy(update={"channels": {"measured": measured, **others}}))
 
 
-def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Path) -> Series:
-    """Return the positions of a skeleton's joints with the stamps of motion capture.
+def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Path) -> tuple[Series, list[str]]:
+    """Return the positions of a skeleton's joints with the stamps of motion capture, and warnings.
 
-    Rows near a pose in which the tracked points hardly show a joint's motion are left out.
+    Rows near a pose in which the tracked points hardly show a joint's motion are left out, and a few that fit no pose.
 
     Args:
         skeleton: joints and tracked points.
@@ -54,23 +55,23 @@ def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Pat
     Raises:
         TrialError: the points do not fit the model, fit several poses, or do not determine a joint.
     """
-    seen, qpos = skeleton.tracked(mocap), skeleton.around(mocap, base, where)
+    seen, qpos, most_m = skeleton.tracked(mocap, where), skeleton.around(mocap, base, where), MISFIT * skeleton.reach_m
     looked = [(skeleton.poses(seen, qpos, int(row)), int(row)) for row in np.linspace(0, len(mocap) - 1, ROWS)]
-    shown = [poses.shown[0] for poses, _ in looked]
-    poses, clear = looked[int(np.argmax(shown))]
+    poses, clear = max(looked, key=lambda each: (each[0].errors_m[0] < most_m, each[0].shown[0]))
     best = poses.positions[0]
-    if np.median(shown) < UNDETERMINED * skeleton.reach_m:
+    if np.median([each.shown[0] for each, _ in looked]) < UNDETERMINED * skeleton.reach_m:
         names = skeleton.hardly_shown(seen, qpos, clear, best)
         raise TrialError(
             f"{where}: the tracked points do not show the position of {', '.join(names)}; track more points on the "
             "links behind these joints, or the orientation of the last one (NAME_qw to NAME_qz)"
         )
-    found = skeleton.followed(seen, qpos, clear, best)
-    if (error_m := float(np.sqrt(np.mean(found.errors_m**2)))) > MISFIT * skeleton.reach_m:
+    found = skeleton.followed(seen, qpos, clear, best, most_m)
+    lost = found.errors_m > most_m
+    if lost.mean() > LOST:
         raise TrialError(
-            f"{where}: the tracked points differ by {error_m:.2g} m from the model in its best poses; allowed "
-            f"{MISFIT * skeleton.reach_m:.2g} m: check their unit, that origin and axes are those of the model (many "
-            "systems have y upwards), and that each site is where its marker is"
+            f"{where}: the tracked points differ by {np.median(found.errors_m[lost]):.2g} m from the model in its best "
+            f"poses in {lost.mean():.0%} of the rows; allowed {most_m:.2g} m: check their unit, that origin and axes "
+            "are those of the model (many systems have y upwards), and that each site is where its marker is"
         )
     if others := [pose for pose in poses.positions if skeleton.distance(pose, best) > APART]:
         two = " or ".join(", ".join(f"{x:.2f}" for x in pose) for pose in (best, others[0]))
@@ -78,5 +79,11 @@ def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Pat
             f"{where}: several poses fit the tracked points: {', '.join(skeleton.joints)} may be at {two}; track a "
             "point on a link between, or give the joints their `range` in the model"
         )
-    keep = found.shown > NEARLY * np.median(found.shown)
-    return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True)))
+    warnings = []
+    if lost.any():
+        warnings.append(
+            f"{where}: in {lost.sum()} rows, first at {mocap.t_s[lost][0]:.3f} s, the tracked points differ by more "
+            f"than {most_m:.2g} m from every pose of the model; they are left out: mark lost points by `missing`"
+        )
+    keep = ~lost & (found.shown > NEARLY * np.median(found.shown))
+    return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True))), warnings

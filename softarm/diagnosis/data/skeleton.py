@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softarm.common.words import did_you_mean
-from softarm.diagnosis.data import mjcf
+from softarm.diagnosis.data import checks, mjcf
 from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import Array, Series, TrialError
 
@@ -89,12 +89,15 @@ class Skeleton:
         self._place_of = {str(model.joint(j).name): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
         self.reach_m = self._reach_m()
 
-    def tracked(self, mocap: Series) -> Tracked:
-        """Return the readings of the tracked points."""
-        lacking, unit = np.full(len(mocap), np.nan), np.eye(4, 1) * np.ones(len(mocap))
+    def tracked(self, mocap: Series, where: Path) -> Tracked:
+        """Return the readings of the tracked points; raise TrialError if a quaternion's length is not one."""
+        lacking, unit = np.full(len(mocap), np.nan), np.tile(np.eye(1, 4), (len(mocap), 1))
         places = [[mocap.columns.get(f"{p.name}_{axis}", lacking) for axis in "xyz"] for p in self.points]
-        turns = [[mocap[p.name + q] for q in QUATERNION] if p.turns else unit for p in self.points]
-        return Tracked(np.array(places).transpose(2, 0, 1), np.array(turns).transpose(2, 0, 1))
+        turns = [
+            checks.unit_quaternions(mocap, [p.name + q for q in QUATERNION], str(where)) if p.turns else unit
+            for p in self.points
+        ]
+        return Tracked(np.array(places).transpose(2, 0, 1), np.stack(turns, axis=1))
 
     def around(self, mocap: Series, base: Series | None, where: Path) -> Array:
         """Return the positions of the model's other joints, qpos [T, nq]; raise TrialError for an unknown joint."""
@@ -108,21 +111,22 @@ class Skeleton:
             qpos[:, self._place_of[name]] = np.interp(mocap.t_s, base.t_s, values)
         return qpos
 
-    def followed(self, seen: Tracked, qpos: Array, start: int, near: Array) -> Poses:
-        """Return the pose of each row, solved from that of the row beside it.
+    def followed(self, seen: Tracked, qpos: Array, start: int, near: Array, most_m: float) -> Poses:
+        """Return the pose of each row, solved from that of the last row that fits.
 
         Args:
             seen: readings of R rows.
             qpos: positions of the model's other joints, [R, nq].
             start: row to begin at, in both directions.
             near: pose near that of this row, [J].
+            most_m: error up to which a row fits.
         """
         found: list[tuple[Array, float, float]] = [(near, 0.0, 0.0)] * len(qpos)
         for rows in (range(start, len(qpos)), range(start, -1, -1)):
             last = near
             for row in rows:
                 found[row] = self._solved(seen.places[row], seen.turns[row], qpos[row], last)
-                last = found[row][0]
+                last = found[row][0] if found[row][1] < most_m else last
         return Poses(*map(np.array, zip(*found, strict=True)))
 
     def poses(self, seen: Tracked, qpos: Array, row: int) -> Poses:

@@ -138,7 +138,8 @@ def _read(
         channels["measured"] = _absolute(channels["measured"], about.links)
     if skeleton is not None:
         tracked = channels.pop("mocap")
-        measured = mocap.positions(skeleton, tracked, channels.get("base"), recording.files["mocap"])
+        measured, lost = mocap.positions(skeleton, tracked, channels.get("base"), recording.files["mocap"])
+        warnings += lost
         channels = {"measured": measured, **channels}
     return _Read(channels, missing, tuple(warnings))
 

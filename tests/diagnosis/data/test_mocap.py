@@ -75,7 +75,7 @@ def tracked(file, positions, names, noise_m=0.0):
 def solved(file, columns, base=None):
     """Return the joints' positions from tracked points; base: known joints."""
     moved = None if base is None else Series(T, base)
-    return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), moved, Path("run.csv"))
+    return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), moved, Path("run.csv"))[0]
 
 
 @settings(max_examples=8)
@@ -160,6 +160,25 @@ def test_points_that_fit_no_pose_are_refused(model, wrong):
     with pytest.raises(
         TrialError, match=r"run.csv: the tracked points differ by .* m from the model in its best poses"
     ):
+        solved(file, columns)
+
+
+def test_a_few_rows_without_the_points_are_left_out_with_a_warning(model):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker"))
+    for values in columns.values():
+        values[[0, *range(50, 54)]] = 0.0  # as a system writes a lost marker
+    skeleton = Skeleton(file, columns)
+    found, (warning,) = mocap.positions(skeleton, Series(T, columns), None, Path("run.csv"))
+    assert warning.startswith("run.csv: in 5 rows, first at 0.000 s, the tracked points differ by more than")
+    assert found["elbow"] == pytest.approx(np.delete(true[:, 3], [0, *range(50, 54)]), abs=1e-6)
+
+
+def test_an_orientation_that_is_no_unit_quaternion_is_refused(model):
+    file = model()
+    columns = tracked(file, motion(), ("fore+",))
+    columns["fore_qw"][20], columns["fore_qx"][20] = 0.0, 0.0
+    with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.200 s"):
         solved(file, columns)
 
 

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.engine.view import Array
 
-# Error of a quaternion's length up to which the four columns are one.
-LENGTH_ERROR = 0.05
 # Position, speed and acceleration of each column, [T] each.
 Motion = Mapping[str, Sequence[Array]]
 
@@ -57,14 +56,7 @@ class PoseJoint:
             raise TrialError(
                 f"{where}: the orientation of {self.name} lacks {', '.join(missing)}; name all four columns, or none"
             )
-        quaternion = np.stack([series[name] for name in self.turn], axis=1)
-        lengths = np.linalg.norm(quaternion, axis=1)
-        if (worst := float(np.abs(lengths - 1).max())) > LENGTH_ERROR:
-            row = int(np.abs(lengths - 1).argmax())
-            raise TrialError(
-                f"{where}: {', '.join(self.turn)} have a length of {lengths[row]:.3g} at {series.t_s[row]:.3f} s "
-                f"(error {worst:.2g}; allowed: {LENGTH_ERROR}); name the four parts of a unit quaternion"
-            )
+        quaternion = checks.unit_quaternions(series, self.turn, str(where))
         signs = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))
         signs = np.cumprod(np.concatenate(([1.0], np.where(signs < 0, -1.0, 1.0))))
         turned = {name: column * signs for name, column in zip(self.turn, quaternion.T, strict=True)}
