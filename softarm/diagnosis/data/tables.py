@@ -58,6 +58,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
                 except TrialError as error:
                     wrong[str(error)] = None
                     continue
+                # Joints by motion capture are in the file of the tracked points.
                 at = Columns(stage.about, {"measured": recording.files.get("mocap", trial.source), **recording.files})
                 mistakes, odd = table_checks.judge(trial, at)
                 wrong |= dict.fromkeys(mistakes)
