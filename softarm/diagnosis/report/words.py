@@ -173,13 +173,16 @@ def sentence(text: str) -> str:
 
 
 def _plain_size(of: Estimate, declared: Parameter | None) -> str:
-    """Return a size with degrees for radians, percent for shares, and a sign where either one is possible."""
+    """Return a size with degrees for radians, percent for shares, and a sign where either one is possible.
+
+    A positive time has none, though the search of a delay begins half a sample below zero.
+    """
     if math.isinf(of.value):
         return size(of)
     value, unit = (math.degrees(of.value), "°") if of.unit == "rad" else (of.value, of.unit)
     text = f"{number(100 * value, 2)} %" if unit == "-" else quantity(value, unit)
     either = declared is not None and declared.low < declared.neutral < declared.high
-    return f"+{text}" if either and value > 0 else text
+    return f"+{text}" if either and value > 0 and unit != "s" else text
 
 
 def shrinks(diagnosis: Diagnosis, place: str) -> str:

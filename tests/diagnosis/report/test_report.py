@@ -316,6 +316,16 @@ def test_a_set_that_stages_share_names_them_all():
     assert "tilt.dead_time and pan.dead_time , or latency of tilt and pan" in Page(report.render(found)).words
 
 
+def test_a_delay_has_no_sign():
+    """At a joint, the search also allows a delay half a sample below zero."""
+    late = DEAD_TIME.model_copy(update={"name": "axis.dead_time"})
+    (delay,) = AXIS["axis.dead_time"].parameters
+    below_zero = replace(AXIS["axis.dead_time"], parameters=(replace(delay, low=-0.01),))
+    known = AXIS | {"axis.dead_time": below_zero}
+    found = Diagnosis(verdict(effects=(late,)), None, None, (), held_out="block", vocabulary=known)
+    assert headline(found) == "Axis reacts 61 ms late"
+
+
 def test_many_effects_are_grouped_by_law():
     many = [DEAD_TIME.model_copy(update={"name": f"servo{i}.lag"}) for i in (1, 2, 3)]
     many.append(alike(DEAD_TIME.model_copy(update={"name": "servo1.deadband"}), "servo1.backlash"))
