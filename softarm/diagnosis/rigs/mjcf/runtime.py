@@ -114,6 +114,14 @@ class RuntimeEffects:
             for parameter, size in effect.parameters.items():
                 if (field := _FIELDS.get(f"{name}.{parameter}")) and not (best_fit and stage in found.best_fit):
                     intervals[field, place] = standard(size.low, size.unit), standard(size.high, size.unit)
+        late_s = values["dead_time_s"]
+        for place in map(int, np.flatnonzero(late_s)):  # an actuator is late for all joints that it moves
+            actuator = joints[place].actuator
+            for other in map(robot.joint, actuator.others if actuator else ()):
+                k = joints.index(other)
+                late_s[k] = max(late_s[k], late_s[place])
+                if ("dead_time_s", place) in intervals:
+                    intervals["dead_time_s", k] = intervals["dead_time_s", place]
         delays = [0.0, *values["dead_time_s"], *values["latency_s"]]
         delays += [high for (field, _), (_, high) in intervals.items() if field in ("dead_time_s", "latency_s")]
         depth = int(np.ceil(max(delays) / robot.step_s)) + 2
@@ -194,8 +202,9 @@ class Simulation:
         self._position = np.array([joint.position for joint in effects.joints])
         self._dof = np.array([joint.dof for joint in effects.joints])
         names = [joint.actuator.name if joint.actuator else "" for joint in effects.joints]
-        self._driven = np.array([k for k, name in enumerate(names) if name], dtype=int)
-        self._ctrl = np.array([model.actuator(name).id for name in names if name], dtype=int)
+        first = {name: k for k, name in reversed([*enumerate(names)]) if name}  # one joint of each actuator
+        self._driven = np.array([*first.values()], dtype=int)
+        self._ctrl = np.array([model.actuator(name).id for name in first], dtype=int)
         leads = [bool(effects.joints[k].followers) for k in self._driven]  # the actuator moves others as well
         self._leading, self._leading_ctrl = self._driven[leads], self._ctrl[leads]
         self.readings = np.zeros(len(names))  # of the joints, [J]

@@ -14,11 +14,7 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
-from softarm.diagnosis.rigs.grid import (
-    fastest_change,
-    resolution,
-    usual_step,
-)
+from softarm.diagnosis.rigs.grid import fastest_change, resolution, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, drive
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother

@@ -10,7 +10,7 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects
+from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
 from softarm.diagnosis.rigs.stage import view_of
 from tests.diagnosis.verdicts import with_parameters
 
@@ -158,7 +158,16 @@ def test_an_effect_on_the_error_of_a_common_loop_is_refused_at_run_time(tmp_path
     with pytest.raises(TrialError, match=r"middle.deadband.width: flexor moves middle and knuckle, and this effect"):
         RuntimeEffects.read(file, model)
     file.write_text(with_parameters([("middle.dead_time.delay", 0.02, "s")]).model_dump_json())
-    assert RuntimeEffects.read(file, model).parameters.dead_time_s.tolist() == [0.0, 0.02]
+    effects = RuntimeEffects.read(file, model)
+    assert effects.parameters.dead_time_s.tolist() == [0.02, 0.02]  # it is the actuator that is late
+    robot = mujoco.MjModel.from_xml_path(str(model))
+    data = mujoco.MjData(robot)
+    simulation = Simulation(effects, robot, data)
+    sent = []
+    for k in range(40):
+        simulation.step(np.array([0.01 * k]))
+        sent.append(data.ctrl[0])
+    assert sent[30:] == pytest.approx(0.01 * np.arange(10, 20))
 
 
 def test_a_joint_that_no_column_measures_is_required(tmp_path):
