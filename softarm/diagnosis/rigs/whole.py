@@ -5,15 +5,16 @@ separate them: a search over all stages at once compares one common effect with 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 from softarm.diagnosis.answer.assembly import share
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine import shrink, work
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, parameters_of
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance, parameters_of
 from softarm.diagnosis.engine.confidence import confidence
 from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fitted import FittedChoice
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import SHARE_MIN, SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG
@@ -56,10 +57,11 @@ def judged(
     }
     try:
         joint, common = _searched(made, loaded, found, budget_s)
+        sized = _sized(joint, {each.name for each in common.values()})
     except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
         return []
     judgements = (
-        _judged(effect, common[effect, part], joint, {s: made[s][0] for s in stages}, found)
+        _judged(effect, common[effect, part], joint, sized, {s: made[s][0] for s in stages}, found)
         for (effect, part), stages in loaded.items()
     )
     return [each for each in judgements if each is not None]
@@ -148,18 +150,58 @@ def _searched(
         thresholds = replace(RIG, search=replace(RIG.search, restarts=RESTARTS_BOUND))
         kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made.values()])
         views, used = [_on(each, view) for view, each in zip(views, kept, strict=True)], kept[0]
-    free = [n for view in views for n in nuisances(view) if n.path.rpartition(".")[0] not in judged]
-    setup = Setup(views, free, [t.kind for t in used.trials], used.origins, views[0].block_s)
+    free, kinds = tolerated(views, loaded, judged), [t.kind for t in used.trials]
+    setup = Setup(views, free, kinds, used.origins, views[0].block_s)
     return Examination(setup, known, thresholds, lambda text, done: None), common
 
 
+def _sized(joint: Examination, common: Set[str]) -> FittedChoice:
+    """Return the choice of a search, with nuisances as they act beside its effects if it chose a common one."""
+    chosen, setup = joint.choice.chosen, joint.setup
+    if common.isdisjoint(chosen.names):
+        return joint
+    return joint.on(Setup(setup.views, setup.nuisances, setup.kinds, setup.origins, setup.block_s, chosen))
+
+
+def tolerated(
+    views: Sequence[RigView], loaded: Mapping[tuple[str, str], Sequence[str]], judged: Collection[str]
+) -> list[Nuisance]:
+    """Return the nuisances of all stages; one for all stages that share an effect which is judged.
+
+    Args:
+        views: views of the stages.
+        loaded: effect and the part that has it -> the stages that it loads.
+        judged: effects of single stages that may be one of these.
+    """
+    own = {n.path: n for view in views for n in nuisances(view)}
+    found = [n for path, n in own.items() if path.rpartition(".")[0] not in judged]
+    for (effect, part), (first, *_) in loaded.items():
+        same = [path for path in own if path.startswith(f"{first}.{effect}.")]
+        found += [replace(own[path], path=path.replace(first, part, 1)) for path in same]
+    return found
+
+
 def _judged(
-    effect: str, common: Candidate, joint: Examination, stages: Mapping[str, RigView], found: Mapping[str, Finding]
+    effect: str,
+    common: Candidate,
+    joint: Examination,
+    sized: FittedChoice,
+    stages: Mapping[str, RigView],
+    found: Mapping[str, Finding],
 ) -> Judgement | None:
-    """Return the judgement on one effect, or None if the stages together leave it open; stages: views by stage."""
+    """Return the judgement on one effect, or None if the stages together leave it open.
+
+    Args:
+        effect: the effect.
+        common: its candidate, with one size for all stages.
+        joint: search over all stages.
+        sized: its choice, with the sizes to state.
+        stages: views of the stages that the effect loads.
+        found: finding of each stage on its own.
+    """
     chosen = {each.candidate.name: each for each in joint.choice.selected}
     if common.name in chosen and _holds(joint, chosen[common.name]):
-        judgement = _named(effect, joint, chosen[common.name], stages, found)
+        judgement = _named(effect, sized, chosen[common.name], stages, found)
         if judgement is not None:
             return judgement
     if any(common.name in each.equivalents for each in chosen.values()):
@@ -222,7 +264,7 @@ def _holds(joint: Examination, effect: SelectedEffect) -> bool:
 
 def _named(
     effect: str,
-    joint: Examination,
+    joint: FittedChoice,
     selected: SelectedEffect,
     stages: Mapping[str, RigView],
     found: Mapping[str, Finding],

@@ -7,6 +7,7 @@ import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs import whole
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
@@ -33,12 +34,13 @@ def finger(actuator=LOOP, tendon=FIXED):
     return FINGER.replace("TENDON", tendon).replace("ACTUATOR", actuator)
 
 
-def recorded(folder, model, gain=1.0, late=0, size=0.25, seconds=5.0, trials=3, columns=tuple(RATIOS)):
+def recorded(folder, model, gain=1.0, stiff=1.0, late=0, size=0.25, seconds=5.0, trials=3, columns=tuple(RATIOS)):
     """Record a finger with another gain, whose actuator receives commands samples late, and describe it."""
     (folder / "finger.xml").write_text(model)
     robot = mujoco.MjModel.from_xml_string(model)
-    robot.actuator_gainprm[:] *= gain
+    robot.actuator_gainprm[:] *= gain * stiff
     robot.actuator_biasprm[:] *= gain
+    robot.actuator_biasprm[:, 1] *= stiff
     for number in range(trials):
         data, random, rows = mujoco.MjData(robot), np.random.default_rng(number), []
         turns, hertz = random.uniform(0, 6, 4), np.array([0.3, 0.7, 1.3, 2.1])
@@ -123,6 +125,26 @@ def test_a_weak_actuator_is_one_effect_with_one_size(tmp_path):
     found = patch.patched(tmp_path / "finger.xml", verdict, calibration=False)
     model = mujoco.MjModel.from_xml_string(found.text)
     assert model.actuator("flexor").gainprm[0] == pytest.approx(2.1, rel=0.03)
+
+
+@pytest.mark.prove
+def test_the_size_of_a_soft_loop_allows_for_the_tolerance_of_its_gain(tmp_path):
+    file = recorded(tmp_path, finger(), gain=1.02, stiff=0.7, seconds=10.0)
+    effects = diagnose_table(tables.read(file)).verdict.effects
+    assert {effect.name for effect in effects} == {"knuckle.position_gain", "middle.position_gain"}
+    size = effects[0].parameters["scale"]
+    assert size.low <= -0.3 <= size.high
+    assert size.high - size.low < 0.08
+
+
+def test_a_tolerance_of_an_actuator_is_one_for_all_its_joints(tmp_path):
+    trials = tables.read(recorded(tmp_path, finger(), trials=1))
+    views = [view_of(of_joint(trials, name))[0] for name in RATIOS]
+    stages = [*RATIOS]
+    loaded = {("gain", "actuator flexor"): stages, ("position_gain", "actuator flexor"): stages}
+    judged = {f"{name}.{effect}" for effect, _ in loaded for name in stages}
+    found = [n.path for n in whole.tolerated(views, loaded, judged) if "gain" in n.path]
+    assert found == ["actuator flexor.gain.scale", "actuator flexor.position_gain.scale"]
 
 
 @pytest.mark.prove
