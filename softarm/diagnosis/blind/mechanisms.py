@@ -23,7 +23,7 @@ from softarm.common.batch import JobsFailed, Work, Workers
 from softarm.common.cluster import ClusterError
 from softarm.diagnosis.blind.rigs import add_workers, answered, run
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.mechanisms.cases import draw_and_write
+from softarm.reality.mechanisms.cases import ANY, draw_and_write
 
 # Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
 # that no effect expresses.
@@ -97,7 +97,9 @@ def intervals(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, 
     """Return for each size that the truth states and the answer names whether the interval holds it."""
     true = {path: size for cause in truth["causes"] for path, size in cause["sizes"].items()}
     effects = answer["verdict"]["effects"] if answer["verdict"] else ()
-    named = {f"{e['name']}.{name}": each for e in effects for name, each in e["parameters"].items()}
+    sizes = [(*e["name"].split(".", 1), name, each) for e in effects for name, each in e["parameters"].items()]
+    # Of a size that joints share, one entry counts.
+    named = {f"{joint}.{law}.{name}": each for of in reversed(sizes) for joint, law, name, each in (of, (ANY, *of[1:]))}
     return {path: each["low"] <= true[path] <= each["high"] for path, each in named.items() if path in true}
 
 

@@ -14,6 +14,7 @@ from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, 
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0
 FOLLOWED = 6  # degree of the polynomial of a follower's position by its leader's
+ANY = "*"  # instead of the joint in the name of a size that all joints share
 LEAST_REACH_M = 0.03  # from the last joint to a load
 OFF = 0.02  # largest share by which a healthy model's numbers are off
 
@@ -99,16 +100,26 @@ class Whole:
     truth: Truth
     joints: tuple[str, ...]
     names: tuple[str, ...]
+    sizes: Mapping[str, float]  # by effect.parameter, the same for all joints
 
 
 def _tilted(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
     """Tilt the base by up to four degrees."""
-    return Whole(replace(truth, tilt_rad=_angles(random)), robot.judged, ("tilt",))
+    x, y = _angles(random)
+    return Whole(replace(truth, tilt_rad=(x, y)), robot.judged, ("tilt",), {"tilt.x": x, "tilt.y": y})
 
 
 def _loaded(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
     """Load the centre of the last body."""
-    return Whole(replace(truth, load=random.uniform(0.4, 1.0)), robot.judged, ("payload",))
+    return _with_load(robot, replace(truth, load=random.uniform(0.4, 1.0)))
+
+
+def _with_load(robot: Robot, truth: Truth) -> Whole:
+    """Return the fault of an extra mass."""
+    import mujoco
+
+    last_kg = float(mujoco.MjModel.from_xml_path(str(robot.model)).body_mass[-1])
+    return Whole(truth, robot.judged, ("payload",), {"payload.mass": truth.load * last_kg})
 
 
 def _beside(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
@@ -116,7 +127,7 @@ def _beside(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
     *_, (_, _, reach_m) = _bodies(robot)
     direction = random.normal(size=3)
     x, y, z = map(float, max(reach_m, LEAST_REACH_M) * direction / np.linalg.norm(direction))
-    return Whole(replace(truth, load=random.uniform(0.4, 1.0), load_at_m=(x, y, z)), robot.judged, ("payload",))
+    return _with_load(robot, replace(truth, load=random.uniform(0.4, 1.0), load_at_m=(x, y, z)))
 
 
 def _heavier(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
@@ -126,7 +137,8 @@ def _heavier(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
     body, joints = several[random.integers(len(several))]
     masses = {**truth.masses, body: truth.masses.get(body, 1.0) * random.uniform(1.4, 2.0)}
     alike = ("mass", "payload") if body == bodies[-1][0] else ()
-    return Whole(replace(truth, masses=masses), joints, (f"mass_{body}", *alike))
+    sizes = {f"mass_{body}.scale": masses[body] - 1}
+    return Whole(replace(truth, masses=masses), joints, (f"mass_{body}", *alike), sizes)
 
 
 # Faults of the whole mechanism, which several joints show.
@@ -163,7 +175,8 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
         key = str(random.choice([key for key in WHOLE if several or key != "heavier"]))
         fault = WHOLE[key](robot, truth, random)
         truth = fault.truth
-        causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names), "sizes": {}})
+        sizes = {f"{ANY}.{path}": size for path, size in fault.sizes.items()}
+        causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names), "sizes": sizes})
     place = folder / "data" / name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):

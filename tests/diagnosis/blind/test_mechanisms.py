@@ -1,8 +1,13 @@
 """Scores of the mechanisms' benchmark."""
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softarm.diagnosis.blind import mechanisms
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.reality.mechanisms.cases import WHOLE
+from softarm.reality.mechanisms.record import ROBOTS, Truth
 
 FRICTION = {"joints": ["elbow"], "fault": "friction", "names": ["coulomb_friction"]}
 LATE = {"joints": ["wrist"], "fault": "late", "names": ["dead_time", "latency"]}
@@ -61,6 +66,23 @@ def test_an_interval_is_compared_with_the_true_size(low, held):
     truth = {"causes": [FRICTION | {"sizes": {"elbow.coulomb_friction.torque": 0.3}}]}
     assert [*mechanisms.intervals(truth, reply).values()] == held
     assert mechanisms.intervals(truth, {"verdict": None}) == {}
+
+
+@pytest.mark.parametrize(("low", "held"), [(0.2, True), (0.35, False)])
+def test_a_size_that_joints_share_counts_once(low, held):
+    reply = answer(["elbow.payload"], ["wrist.payload"])
+    for effect in reply["verdict"]["effects"]:
+        effect["parameters"] = {"mass": {"low": low, "high": 0.4}}
+    truth = {"causes": [{"sizes": {"*.payload.mass": 0.3, "*.tilt.x": 0.1}}]}
+    assert mechanisms.intervals(truth, reply) == {"*.payload.mass": held}
+
+
+def test_the_true_tilt_is_the_angle_that_a_diagnosis_names():
+    fault = WHOLE["tilted"](ROBOTS["arm"], Truth({}), np.random.default_rng(0))
+    robot = Mechanism(ROBOTS["arm"].model)
+    turned = Rotation.from_euler("XY", fault.truth.tilt_rad).inv().apply(robot.model.opt.gravity)
+    named = sum(fault.sizes[f"tilt.{axis}"] * change for axis, change in robot.level_axes.items())
+    assert robot.model.opt.gravity + named == pytest.approx(turned, abs=0.05)
 
 
 def test_all_cases_may_be_of_one_category(tmp_path, monkeypatch, capsys):

@@ -126,6 +126,7 @@ def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypat
     (cause,) = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
     assert cause["joints"] == ["pan", "tilt"]
     assert cause["names"] in (["tilt"], ["payload"], ["mass_camera", "mass", "payload"])
+    assert {path.rpartition(".")[0] for path in cause["sizes"]} == {f"*.{cause['names'][0]}"}
 
 
 def test_followers_keep_the_equalities_of_their_model():
