@@ -107,24 +107,29 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
 
 def _agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
     """Return the findings with one size for all joints that an actuator moves: the mean over those that show it."""
-    sizes: dict[str, dict[str, list[float]]] = {}  # by actuator and parameter; limits are those of the actuator
-    moved: dict[str, Joint] = {}
+    sizes: dict[tuple[str, str], list[float]] = {}  # by actuator and parameter
+    moved: dict[str, Actuator] = {}
     for place, value in found.items():
         name, _, parameter = place.partition(".")
         actuator = model.joint(name).actuator
-        if actuator is None or not actuator.others:
-            continue
-        moved[name] = model.joint(name)
-        if parameter == "ceiling.limit" or parameter.partition(".")[0] in ACTUATOR:
-            worth = abs(actuator.gear) if parameter == "ceiling.limit" else 1.0
-            sizes.setdefault(actuator.name, {}).setdefault(parameter, []).append(value / worth)
-    agreed = dict(found)
-    for name, joint in moved.items():
-        assert joint.actuator is not None
-        for parameter, values in sizes.get(joint.actuator.name, {}).items():
-            worth = abs(joint.actuator.gear) if parameter == "ceiling.limit" else 1.0
-            agreed[f"{name}.{parameter}"] = worth * float(np.mean(values))
-    return agreed
+        if actuator is not None and actuator.others:
+            moved[name] = actuator
+            if parameter.partition(".")[0] in (*ACTUATOR, "ceiling"):
+                sizes.setdefault((actuator.name, parameter), []).append(value / _worth(actuator, parameter))
+    return {
+        **found,
+        **{
+            f"{name}.{parameter}": float(np.mean(values)) * _worth(actuator, parameter)
+            for name, actuator in moved.items()
+            for (of, parameter), values in sizes.items()
+            if of == actuator.name
+        },
+    }
+
+
+def _worth(actuator: Actuator, parameter: str) -> float:
+    """Return the size of a parameter at a joint for a size of one at its actuator; a limit is a torque."""
+    return abs(actuator.gear) if parameter == "ceiling.limit" else 1.0
 
 
 def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found: Mapping[str, float]) -> bool:
