@@ -12,6 +12,9 @@ from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.motion import Motion
 
+# Time in which the unknown state of an actuator at the start of a recording fades, in its time constants.
+SETTLES = 4.0
+
 
 def columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
     """Return the columns of `measured` and of `base`."""
@@ -46,6 +49,13 @@ def inputs(joint: Joint, trials: Sequence[Trial]) -> tuple[Actuator | None, list
         )
     low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
     return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
+
+
+def settled_s(actuator: Actuator | None, trials: Sequence[Trial]) -> list[float]:
+    """Return the time in each trial from which the unknown state of a slow actuator at its start is forgotten, s."""
+    if actuator is None or not actuator.lag_s:
+        return [-np.inf] * len(trials)
+    return [float(t.channel("command").t_s[0]) + SETTLES * actuator.lag_s for t in trials]
 
 
 def along(

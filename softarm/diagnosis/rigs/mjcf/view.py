@@ -89,6 +89,7 @@ class JointView(RigView):
         self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
         self._actuator, self._inputs = drive.inputs(joint, trials)
+        self._settled_s = drive.settled_s(self._actuator, trials)
         step = resolution([t.channel("measured")[joint.name] for t in trials])
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
@@ -453,9 +454,10 @@ class JointView(RigView):
         return [{path: self.value(point, path) for path in self._known} for point in points]
 
     def _out(self, k: int) -> NDArray[np.bool_]:
-        """Return whether a trial's sample is near a joint limit or a contact, [T]."""
+        """Return whether a trial's sample is near a joint limit or a contact, or its actuator's state unknown, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
-        return widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
+        touching = widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
+        return np.asarray(touching | (m.grid.t_s < self._settled_s[k]))
 
     def _compared(self, k: int, out: NDArray[np.bool_]) -> Array:
         """Return a trial's measured values, [T]; NaN where samples are left out, and in short windows between these."""

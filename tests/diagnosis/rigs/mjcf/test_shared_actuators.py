@@ -203,6 +203,15 @@ def test_a_tendon_whose_ratios_change_is_refused(tmp_path):
     assert "moved by flexor, which is neither" in Mechanism(tmp_path / "finger.xml").joint("middle").problem
 
 
+def test_samples_before_a_slow_actuator_has_forgotten_its_start_are_left_out(tmp_path):
+    """The recording begins with a command that the actuator has not reached."""
+    muscle = '<general name="flexor" tendon="flexor" dyntype="filterexact" dynprm="0.3" biastype="affine"/>'
+    view, _ = view_of(of_joint(tables.read(recorded(tmp_path, finger(muscle), trials=1)), "middle"))
+    seen = np.isfinite(view.measured[:, 0])
+    assert 0.8 < view.t_s[seen][0] < 1.5
+    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 3e-3
+
+
 @pytest.mark.parametrize("lag", ["", ' dyntype="filterexact" dynprm="0.3"'])
 def test_a_muscle_that_bends_springs_of_the_model_is_no_position_loop(tmp_path, lag):
     """The torque is nearly a multiple of the angle."""
