@@ -34,7 +34,9 @@ def finger(actuator=LOOP, tendon=FIXED):
     return FINGER.replace("TENDON", tendon).replace("ACTUATOR", actuator)
 
 
-def recorded(folder, model, gain=1.0, stiff=1.0, late=0, size=0.25, seconds=5.0, trials=3, columns=tuple(RATIOS)):
+def recorded(
+    folder, model, gain=1.0, stiff=1.0, late=0, size=0.25, noise_rad=5e-5, seconds=5.0, trials=3, columns=tuple(RATIOS)
+):
     """Record a finger with another gain, whose actuator receives commands samples late, and describe it."""
     (folder / "finger.xml").write_text(model)
     robot = mujoco.MjModel.from_xml_string(model)
@@ -48,7 +50,7 @@ def recorded(folder, model, gain=1.0, stiff=1.0, late=0, size=0.25, seconds=5.0,
         commands = size * np.sin(2 * np.pi * hertz * t[:, None] + turns).sum(axis=1)
         for k in range(len(t)):
             data.ctrl[0] = commands[max(k - late, 0)]
-            rows.append((t[k], commands[k], *(data.qpos + 5e-5 * random.normal(size=2))))
+            rows.append((t[k], commands[k], *(data.qpos + noise_rad * random.normal(size=2))))
             mujoco.mj_step(robot, data, nstep=10)
         header = ",".join(("t", "flexor", *RATIOS))
         np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header=header, comments="")
@@ -129,7 +131,7 @@ def test_a_weak_actuator_is_one_effect_with_one_size(tmp_path):
 
 @pytest.mark.prove
 def test_the_size_of_a_soft_loop_allows_for_the_tolerance_of_its_gain(tmp_path):
-    file = recorded(tmp_path, finger(), gain=1.02, stiff=0.7, seconds=10.0)
+    file = recorded(tmp_path, finger(), gain=1.02, stiff=0.7, seconds=10.0, noise_rad=2e-4)
     effects = diagnose_table(tables.read(file)).verdict.effects
     assert {effect.name for effect in effects} == {"knuckle.position_gain", "middle.position_gain"}
     size = effects[0].parameters["scale"]
