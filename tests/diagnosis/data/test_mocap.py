@@ -30,7 +30,7 @@ ARM = """
 <actuator><position name="yaw_servo" joint="yaw" kp="20"/><position name="shoulder_servo" joint="shoulder" kp="40"/>
 <position name="elbow_servo" joint="elbow" kp="20"/></actuator>EXTRA</mujoco>"""
 JOINTS = ("rail", "yaw", "shoulder", "elbow")
-T = np.arange(200) * 0.01
+T = np.arange(100) * 0.02
 
 
 def write(folder, elbow="-2.4 2.4", extra=""):
@@ -78,6 +78,7 @@ def solved(file, columns, base=None):
     return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), moved, Path("run.csv"))[0]
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(seed=st.integers(0, 10_000), points=st.sampled_from([("tip", "elbow_marker"), ("fore+",), ("tip", "upper+")]))
 def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed, points):
@@ -88,7 +89,7 @@ def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed
     true = middle + half * np.sin(np.outer(T, random.uniform(1, 4, 4)) + random.uniform(0, 6, 4))
     found = solved(file, tracked(file, true, points))
     seen = np.isin(T, found.t_s)
-    assert seen.sum() > 100
+    assert seen.sum() > 50
     for name, of in zip(JOINTS, true[seen].T, strict=True):
         assert found[name] == pytest.approx(of, abs=1e-6)
 
@@ -114,7 +115,7 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
     stretched = true[:, 3] < 0.1  # the tip's distance from the shoulder hardly changes with the elbow there
     assert stretched.any()
     assert not np.isin(T[stretched], found.t_s).any()
-    assert len(found) > 100
+    assert len(found) > 50
 
 
 @pytest.mark.parametrize(
@@ -132,7 +133,7 @@ def test_a_wrong_column_is_refused(model, names, message):
 
 def test_points_that_do_not_show_a_joint_are_refused(model):
     file, true = model(), motion()
-    with pytest.raises(TrialError, match=r"do not show the position of rail, yaw, elbow; track more points"):
+    with pytest.raises(TrialError, match=r"do not show the position of .*elbow; track more points"):
         solved(file, tracked(file, true, ("tip",)))
 
 
@@ -156,7 +157,8 @@ def test_points_that_fit_no_pose_are_refused(model, wrong):
             turned = {"x": "x", "y": "z", "z": "y"}
             columns = {f"{n[:-1]}{turned[n[-1]]}": -x if n[-1] == "y" else x for n, x in columns.items()}
         case "place":
-            columns["tip_x"], columns["elbow_marker_x"] = columns["elbow_marker_x"], columns["tip_x"]
+            other = {"tip": "elbow_marker", "elbow_marker": "tip"}
+            columns = {f"{other[n[:-2]]}{n[-2:]}": x for n, x in columns.items()}
     with pytest.raises(
         TrialError, match=r"run.csv: the tracked points differ by .* m from the model in its best poses"
     ):
@@ -178,7 +180,7 @@ def test_an_orientation_that_is_no_unit_quaternion_is_refused(model):
     file = model()
     columns = tracked(file, motion(), ("fore+",))
     columns["fore_qw"][20], columns["fore_qx"][20] = 0.0, 0.0
-    with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.200 s"):
+    with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.400 s"):
         solved(file, columns)
 
 
@@ -219,6 +221,7 @@ def rig(tmp_path_factory):
     return folder / "stage.yaml", result
 
 
+@pytest.mark.slow
 def test_a_description_is_written_and_its_joints_are_checked(rig):
     file, result = rig
     assert result.exit_code == 0, result.output
