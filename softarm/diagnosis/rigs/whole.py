@@ -166,7 +166,7 @@ def _sized(joint: Examination, common: Set[str]) -> FittedChoice:
 def tolerated(
     views: Sequence[RigView], loaded: Mapping[tuple[str, str], Sequence[str]], judged: Collection[str]
 ) -> list[Nuisance]:
-    """Return the nuisances of all stages; one for all stages that share an effect which is judged.
+    """Return the nuisances of all stages; one for all stages that share a parameter of a judged effect.
 
     Args:
         views: views of the stages.
@@ -174,11 +174,15 @@ def tolerated(
         judged: effects of single stages that may be one of these.
     """
     own = {n.path: n for view in views for n in nuisances(view)}
-    found = [n for path, n in own.items() if path.rpartition(".")[0] not in judged]
-    for (effect, part), (first, *_) in loaded.items():
-        same = [path for path in own if path.startswith(f"{first}.{effect}.")]
-        found += [replace(own[path], path=path.replace(first, part, 1)) for path in same]
-    return found
+    common = {
+        f"{part}{path.removeprefix(stage)}": n
+        for (effect, part), stages in loaded.items()
+        for stage in stages
+        for path, n in own.items()
+        if path.startswith(f"{stage}.{effect}.")
+    }
+    alone = [n for path, n in own.items() if path.rpartition(".")[0] not in judged]
+    return [*alone, *(replace(n, path=path) for path, n in common.items())]
 
 
 def _judged(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data import tables
+from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.rigs import whole
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
@@ -284,3 +285,10 @@ def test_an_eccentric_encoder_gives_no_confident_name(tmp_path):
     verdict = diagnosed(tmp_path, "linkage", Truth({"crank": JointLaw(bent=0.03)}), seconds=4.0)
     assert len(verdict.effects) > 2
     assert all(effect.confidence is None for effect in verdict.effects)
+
+
+def test_a_shared_tolerance_has_the_parameters_of_all_joints(monkeypatch):
+    paths = {"pan": ["pan.tilt.x"], "tilt": ["tilt.tilt.x", "tilt.tilt.y", "tilt.mass.scale"]}
+    monkeypatch.setattr(whole, "nuisances", lambda joint: [Nuisance(path, 0.0, -1.0, 1.0) for path in paths[joint]])
+    found = whole.tolerated(["pan", "tilt"], {("tilt", "base"): ["pan", "tilt"]}, {"pan.tilt", "tilt.tilt"})
+    assert [n.path for n in found] == ["tilt.mass.scale", "base.tilt.x", "base.tilt.y"]
