@@ -102,8 +102,9 @@ class Skeleton:
     def around(self, mocap: Series, base: Series | None, where: Path) -> Array:
         """Return the positions of the model's other joints, qpos [T, nq]; raise TrialError for an unknown joint."""
         qpos = np.tile(self._model.qpos0, (len(mocap), 1))
-        for name, values in base.columns.items() if base is not None else ():
-            assert base is not None
+        if base is None:
+            return qpos
+        for name, values in base.columns.items():
             if name not in self._place_of:
                 raise TrialError(
                     f"{where}: {name} is no joint of the model; beside `mocap`, `base` has hinge and slide joints alone"
