@@ -125,8 +125,10 @@ def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
     row = panel.locator("li", has_text=daemon.recorder.path.name)
     button = row.get_by_role("button", name="Delete")
     assert button.get_attribute("aria-disabled") == "true"
-    button.click(force=True)
-    row.locator("text=This log is being recorded.").wait_for()
+    reason = row.locator("text=This log is being recorded.")
+    while not reason.is_visible():  # the list that the tab loads may replace the row after a click
+        button.click(force=True)
+        page.wait_for_timeout(100)
     assert daemon.recorder.path.exists()
 
 
