@@ -97,9 +97,12 @@ def intervals(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, 
     """Return for each size that the truth states and the answer names whether the interval holds it."""
     true = {path: size for cause in truth["causes"] for path, size in cause["sizes"].items()}
     effects = answer["verdict"]["effects"] if answer["verdict"] else ()
-    sizes = [(*e["name"].split(".", 1), name, each) for e in effects for name, each in e["parameters"].items()]
-    # Of a size that joints share, one entry counts.
-    named = {f"{joint}.{law}.{name}": each for of in reversed(sizes) for joint, law, name, each in (of, (ANY, *of[1:]))}
+    named: dict[str, Mapping[str, Any]] = {}
+    for effect in effects:
+        joint, _, law = effect["name"].partition(".")
+        for name, each in effect["parameters"].items():
+            named[f"{joint}.{law}.{name}"] = each
+            named.setdefault(f"{ANY}.{law}.{name}", each)  # of a size that joints share, one entry counts
     return {path: each["low"] <= true[path] <= each["high"] for path, each in named.items() if path in true}
 
 

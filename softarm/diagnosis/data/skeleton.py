@@ -35,7 +35,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Tracked positions [T, P, 3], NaN where a coordinate is not measured, and orientations [T, P, 4]."""
+    """Tracked positions [T, P, 3], NaN where a coordinate is not measured, and unit quaternions [T, P, 4]."""
 
     places: Array
     turns: Array
@@ -56,6 +56,7 @@ class Skeleton:
         joints: their names.
         units: their units, rad or m.
         points: the tracked points.
+        reach_m: largest distance of a tracked point from the first joint in the model's zero.
     """
 
     def __init__(self, path: Path, columns: Collection[str], moved: Collection[str] = ()) -> None:
@@ -97,7 +98,8 @@ class Skeleton:
             checks.unit_quaternions(mocap, [p.name + q for q in QUATERNION], str(where)) if p.turns else unit
             for p in self.points
         ]
-        return Tracked(np.array(places).transpose(2, 0, 1), np.stack(turns, axis=1))
+        turned = np.stack(turns, axis=1)
+        return Tracked(np.array(places).transpose(2, 0, 1), turned / np.linalg.norm(turned, axis=2, keepdims=True))
 
     def around(self, mocap: Series, base: Series | None, where: Path) -> Array:
         """Return the positions of the model's other joints, qpos [T, nq]; raise TrialError for an unknown joint."""
@@ -243,7 +245,7 @@ class Skeleton:
             if point.turns:
                 now, way = np.empty(4), np.empty(3)
                 self._mujoco.mju_mat2Quat(now, axes)
-                self._mujoco.mju_subQuat(way, turn / np.linalg.norm(turn), now)
+                self._mujoco.mju_subQuat(way, turn, now)
                 errors.append(LEVER_M * (axes.reshape(3, 3) @ way))
                 rows.append(LEVER_M * rotates[:, self._dofs])
         return np.concatenate(errors), np.concatenate(rows)

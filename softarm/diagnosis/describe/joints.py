@@ -72,7 +72,7 @@ def propose(
     for joint in joints:
         if joint.name in found.get("measured", {}) and not joint.actuator:
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
-    if not found.keys() & {"measured", "mocap"}:
+    if not (found.get("measured") or found.get("mocap")):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
     why = f"{len(found['measured'])} joints of the model are measured" if "measured" in found else "points are tracked"
