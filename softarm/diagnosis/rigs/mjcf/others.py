@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.noise import drawn
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
-from softarm.diagnosis.rigs.scales import white_noise
 
 # Column -> position, speed and acceleration, [T] each.
 Around = Mapping[str, tuple[Array, Array, Array]]
@@ -66,12 +66,27 @@ class OtherJoints:
             noisy: whether their positions have once more the noise that they have.
             smooth: whether their accelerations are averaged over three samples.
         """
-        around, random = self.around, np.random.default_rng(0)
+        around = self.around
         if noisy:
-            around = [_noisy(each, m.grid.step_s, random) for each, m in zip(around, self._own, strict=True)]
+            parts = zip(around, self._own, self._noise, strict=True)
+            around = [_noisy(each, m.grid.step_s, noise) for each, m, (noise, _) in parts]
         if smooth:
             around = [_smooth(each) for each in around]
         return self._terms(self._courses(self._own, around), Change())
+
+    @cached_property
+    def shared_noise(self) -> Array:
+        """Part of the joint's own noise that comes with the noise of the other joints' positions, [M]."""
+        return np.concatenate([shared for _, shared in self._noise])
+
+    @cached_property
+    def _noise(self) -> list[tuple[Array, Array]]:
+        """Noise of the other columns in each trial, [C, T], and the part of the joint's own that comes with it, [T]."""
+        random, found = np.random.default_rng(0), []
+        for around, m in zip(self.around, self._own, strict=True):
+            own = np.where(np.isfinite(m.seen), m.seen, m.position)
+            found.append(drawn([x for x, _, _ in around.values()], own, random))
+        return found
 
     def _terms(self, courses: Sequence[Course], change: Change) -> Array:
         return np.concatenate([self._mechanism.terms(self._joint, course, change) for course in courses], axis=1)
@@ -103,11 +118,10 @@ def _smooth(around: Around) -> Around:
     return {name: (x, v, np.convolve(a, third, "same")) for name, (x, v, a) in around.items()}
 
 
-def _noisy(around: Around, step_s: float, random: np.random.Generator) -> Around:
+def _noisy(around: Around, step_s: float, noise: Array) -> Around:
     found = {}
-    for name, (position, speed, acceleration) in around.items():
-        noise = white_noise([position]) * random.normal(size=len(position))
-        curve = np.zeros_like(noise)
-        curve[1:-1] = np.diff(noise, 2) / step_s**2
-        found[name] = position + noise, speed + np.gradient(noise, step_s), acceleration + curve
+    for (name, (position, speed, acceleration)), own in zip(around.items(), noise, strict=True):
+        curve = np.zeros_like(own)
+        curve[1:-1] = np.diff(own, 2) / step_s**2
+        found[name] = position + own, speed + np.gradient(own, step_s), acceleration + curve
     return found

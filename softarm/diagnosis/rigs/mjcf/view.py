@@ -22,6 +22,7 @@ from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
 from softarm.diagnosis.rigs.mjcf.effects import ACTUATOR, MASS, JointScales, adds_mass, joint_effects, part_effects
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
+from softarm.diagnosis.rigs.mjcf.noise import averaged, samples_averaged
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
@@ -54,6 +55,8 @@ RATE_HZ = 500.0
 # Share of a load below which a mass has no effect, and of the floor below which other joints' noise or a simulation's
 # steps do not count.
 FELT, FELT_NOISE = 1e-4, 0.35
+# Share of a joint's own squared noise that remains at least where that of the other joints cancels it.
+UNCANCELLED = 0.25
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 # Share of the samples that may be left out because other joints move too fast between samples, and that is reported.
@@ -131,7 +134,8 @@ class JointView(RigView):
         t_s = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         swing = within_windows(self._motions, self._edges)
-        self._own_floor = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
+        self._noise = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
+        self._samples = samples_averaged(self._noise / swing, scales.period_s, scales.step_s)
         self._simulation = self._simulated(self._edges)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
@@ -153,7 +157,7 @@ class JointView(RigView):
             self._each,
         )
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
-        found.start(self.measured[:, 0], edges, slow, nominal, self._own_floor)
+        found.start(self.measured[:, 0], edges, slow, nominal, self._noise)
         return found
 
     def uninterrupted(self) -> Self:
@@ -201,12 +205,23 @@ class JointView(RigView):
         if large.any():
             large &= np.abs(smooth) > SIGMAS * rms(moved(noisy=True, smooth=True) - noise - smooth)
             self._leave_out(large)
-            self.floor = self._raised_floor(noise[np.isfinite(self.measured[:, 0])])
+            self.floor = self._raised_floor(np.where(np.isfinite(self.measured[:, 0]), noise, np.nan))
 
     def _raised_floor(self, noise: Array) -> Array:
-        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints, which the gap has."""
+        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints, which the gap has, [M].
+
+        Noise that the joint's own readings share with it may cancel.
+        """
         own, felt = self._own_floor, min(rms(noise), rms(self._raw_gaps([{}])))
-        return np.array([np.hypot(own, felt if felt > FELT_NOISE * own else 0.0)])
+        if felt <= FELT_NOISE * own:
+            return np.array([own])
+        shared = averaged(self._others.shared_noise[None], slices(self.trial), self._samples)[0]
+        return np.sqrt([max(own**2 + felt**2 + 2 * np.nanmean(noise * shared), UNCANCELLED * own**2)])
+
+    @property
+    def _own_floor(self) -> float:
+        """Noise floor by the joint's own readings."""
+        return float(self._noise / np.sqrt(self._samples))
 
     def _feels_steps(self) -> bool:
         """Return whether the steps of a simulation with the model would move the joint by more than noise."""
@@ -447,7 +462,7 @@ class JointView(RigView):
         """Return the gaps [P, M] with one zero for all recordings."""
         left = self._simulation.residuals(self._values(points), terms)
         self._simulation.free_starts(left)
-        return left
+        return averaged(left, slices(self.trial), self._samples)
 
     def _values(self, points: Sequence[Point]) -> list[dict[str, float]]:
         """Return every parameter of each point, by 'effect.parameter'."""

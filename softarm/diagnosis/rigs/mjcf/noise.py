@@ -1,0 +1,78 @@
+"""Noise of a joint's readings beside that of the other joints, and averages over samples that reduce it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.scales import white_noise
+
+# Noise as a share of a joint's travel in a window from which samples are averaged, and the averages per period.
+NOISY, AVERAGES = 0.01, 20
+# Correlation between the noise of two readings below which they count as independent.
+CORRELATED = 0.3
+# Share of the largest eigenvalue below which correlations count as singular.
+SINGULAR = 1e-3
+
+
+def samples_averaged(noise_share: float, period_s: float, step_s: float) -> int:
+    """Return over how many samples a gap is averaged: 1 for usual encoders, more for noisy motion capture.
+
+    The mean of n samples has the noise of one over the root of n. Its time stays short beside the period of the motion.
+
+    Args:
+        noise_share: RMS of the noise over that of the motion.
+        period_s: period of the usual motion.
+        step_s: sampling interval.
+    """
+    most = max(int(period_s / AVERAGES / step_s), 1)
+    return int(np.clip((noise_share / NOISY) ** 2, 1, most))
+
+
+def averaged(values: Array, trials: Sequence[slice], samples: int) -> Array:
+    """Return moving averages of values [P, M] within each trial; values that are NaN stay so and do not count."""
+    if samples == 1:
+        return values
+    found, seen = np.full_like(values, np.nan), np.isfinite(values)
+    for part in trials:
+        kept = seen[:, part]
+        total = uniform_filter1d(np.where(kept, values[:, part], 0.0), samples, axis=1, mode="constant")
+        share = uniform_filter1d(kept.astype(float), samples, axis=1, mode="constant")
+        np.divide(total, share, out=found[:, part], where=kept)
+    return found
+
+
+def drawn(others: Sequence[Array], own: Array, random: np.random.Generator) -> tuple[Array, Array]:
+    """Return noise like that of other joints' readings, and the part of a joint's own noise that comes with it.
+
+    Angles from the same tracked points share their noise: a point that is off bends the joint before it one way and
+    the joint behind it the other way.
+
+    Args:
+        others: readings of C other joints in one trial, [T] each.
+        own: readings of the joint, [T].
+        random: generator of the noise.
+
+    Returns:
+        Noise of the other joints [C, T], and the own part [T], which is 0 for independent readings.
+    """
+    readings = [*others, own]
+    sizes = np.array([white_noise([x]) for x in readings])
+    correlations = _correlations(readings, sizes)
+    among, between = correlations[:-1, :-1], correlations[-1, :-1]
+    values, axes = np.linalg.eigh(among)
+    root = axes * np.sqrt(np.maximum(values, 0.0)) @ axes.T
+    units = root @ random.normal(size=(len(others), len(own)))
+    shared = sizes[-1] * between @ np.linalg.pinv(among, SINGULAR, hermitian=True) @ units
+    return sizes[:-1, None] * units, np.asarray(shared)
+
+
+def _correlations(readings: Sequence[Array], sizes: Array) -> Array:
+    """Return the correlation of the noise of each two readings, [C, C]; small ones are 0."""
+    found, scaled = np.eye(len(readings)), [x / max(s, 1e-12) for x, s in zip(readings, sizes, strict=True)]
+    for i, one in enumerate(scaled):
+        for j in range(i):
+            both = (white_noise([one + scaled[j]]) ** 2 - white_noise([one - scaled[j]]) ** 2) / 4
+            found[i, j] = found[j, i] = both if abs(both) > CORRELATED else 0.0
+    return found

@@ -1,0 +1,119 @@
+"""Noise of joints that motion capture measures: averages over samples, and noise that several angles share."""
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.mjcf.noise import averaged, drawn, samples_averaged
+from softarm.diagnosis.rigs.stage import view_of
+from softarm.simulator import mjcf, model_file
+
+LINKS = ("link2", "link3", "link4", "link5")
+
+
+@pytest.mark.parametrize(("noise_share", "samples"), [(0.0, 1), (0.004, 1), (0.02, 4), (0.03, 9), (0.5, 10)])
+def test_noisy_motion_is_averaged_up_to_a_twentieth_of_its_period(noise_share, samples):
+    assert samples_averaged(noise_share, period_s=2.0, step_s=0.01) == samples
+
+
+def test_every_sample_of_slow_recordings_counts():
+    assert samples_averaged(0.5, period_s=0.1, step_s=0.01) == 1
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 12), st.lists(st.integers(0, 39), max_size=30), st.floats(-5.0, 5.0))
+def test_an_average_keeps_constants_gaps_and_trials_apart(samples, gaps, level):
+    values = np.concatenate((np.full(20, level), np.full(20, level + 1.0)))[None]
+    values[0, gaps] = np.nan
+    expected = values.copy()
+    found = averaged(values, [slice(0, 20), slice(20, 40)], samples)
+    assert np.allclose(found, expected, equal_nan=True)
+
+
+def test_an_average_of_nine_samples_has_a_third_of_their_noise():
+    values = np.random.default_rng(1).normal(size=(2, 9000))
+    assert averaged(values, [slice(0, 9000)], 9).std() == pytest.approx(1 / 3, rel=0.1)
+
+
+def test_noise_that_readings_share_is_drawn_together():
+    """Two angles between three links: the middle link's noise is in both, with opposite signs."""
+    random = np.random.default_rng(5)
+    links = 0.01 * random.normal(size=(3, 4000))
+    smooth = np.sin(0.01 * np.arange(4000))
+    other, own = smooth + links[1] - links[0], smooth + links[2] - links[1]
+    ((noise,), shared) = drawn([other], own, random)
+    assert noise.std() == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
+    assert shared.std() == pytest.approx(0.5 * 0.01 * np.sqrt(2), rel=0.15)
+    assert np.corrcoef(noise, shared)[0, 1] == pytest.approx(-1.0)
+
+
+def test_independent_readings_share_no_noise():
+    random = np.random.default_rng(5)
+    other, own = 0.01 * random.normal(size=(2, 4000))
+    (_, shared) = drawn([other], own, random)
+    assert not shared.any()
+
+
+def tracked_arm(folder, noise_m, gain=1.0, trials=2, seconds=10.0):
+    """Record the exported soft arm with another gain of its muscle, as points on its links, and describe it."""
+    text = mjcf.export(model_file.load("seed")).xml
+    (folder / "arm.xml").write_text(text)
+    robot = mujoco.MjModel.from_xml_string(text)
+    robot.actuator("pressure").gainprm[0] *= gain
+    per_tick = round(0.01 / robot.opt.timestep)
+    bodies = ["cart", *LINKS]
+    names = [f"{point}_{axis}" for point in (*bodies, "tip") for axis in "xz"]
+    for number in range(trials):
+        data, random, rows = mujoco.MjData(robot), np.random.default_rng(number), []
+        turns, hertz = random.uniform(0, 6, (2, 5)), np.geomspace(0.15, 1.6, 5)
+        for k in range(int(100 * seconds) + 200):
+            t = 0.01 * k
+            cart, pressure = np.sin(2 * np.pi * hertz * t + turns).sum(axis=1)
+            data.ctrl[:] = 0.12 * cart, np.clip(9 + 3.5 * pressure, 0.0, 20.0)
+            if k >= 200:
+                mujoco.mj_kinematics(robot, data)
+                points = [*(data.body(body).xpos for body in bodies), data.site("tip").xpos]
+                seen = [x for point in points for x in (point + noise_m * random.normal(size=3))[[0, 2]]]
+                rows.append((t, *data.ctrl, *seen))
+            mujoco.mj_step(robot, data, nstep=per_tick)
+        header = ",".join(("t", "cart_velocity", "pressure", *names))
+        np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header=header, comments="")
+    time = {"source": "t", "unit": "s"}
+    columns = {name: {"source": name, "unit": "m"} for name in names}
+    commands = {name: {"source": name, "unit": unit} for name, unit in (("cart_velocity", "m/s"), ("pressure", "1"))}
+    stage = {
+        "kind": "mujoco",
+        "channels": {"mocap": {"time": time, "columns": columns}, "command": {"time": time, "columns": commands}},
+        "model": {"mjcf": "arm.xml"},
+        "trials": [{"files": "run-*.csv"}],
+    }
+    (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
+    return tables.read(folder / "stage.yaml")
+
+
+@pytest.mark.parametrize("noise_m", [2e-5, 1e-4])
+def test_the_floor_of_a_tracked_joint_holds_the_noise_that_its_angle_shares(tmp_path, noise_m):
+    """With 0.1 mm, independent noise of six angles would be twice as large."""
+    trials = tracked_arm(tmp_path, noise_m, trials=1, seconds=6.0)
+    view, _ = view_of([trial for trial in trials if trial.stage.name == "joint3"])
+    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
+    assert 0.75 * left < view.floor[0] < 1.3 * left
+
+
+@pytest.mark.prove
+def test_a_weak_muscle_shows_through_a_tenth_of_a_millimetre_of_noise(tmp_path):
+    verdict = diagnose_table(tracked_arm(tmp_path, 1e-4, gain=0.85)).verdict
+    assert verdict.verdict == "named"
+    assert {effect.name.partition(".")[2] for effect in verdict.effects} == {"gain"}
+    for effect in verdict.effects:
+        assert effect.parameters["scale"].low <= -0.15 <= effect.parameters["scale"].high
+
+
+@pytest.mark.prove
+def test_a_healthy_arm_has_no_gap_beside_that_noise(tmp_path):
+    assert diagnose_table(tracked_arm(tmp_path, 1e-4)).verdict.verdict == "none"
