@@ -66,6 +66,10 @@ class Setup:
         self._high = np.array([b[1] for b in boxes] + [1.0] * len(self._own))
         self._paths = (*(n.path for n in self.nuisances), *self._own)
 
+    def beside(self, fit: Fit) -> "Setup":
+        """Return the problem with nuisances that act linearly around the effects of a fit."""
+        return Setup(self.views, self.nuisances, self.kinds, self.origins, self.block_s, fit)
+
     def search_folds(self, by: Literal["held_out", "trial", "block"]) -> NDArray[np.int64]:
         """Return the folds [B] of a search: those of the verdict, whole recordings, or every fifth block."""
         if by == "block":

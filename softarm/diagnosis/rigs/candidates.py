@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
-from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.views import RigView
 from softarm.simulator.effects import Effect, Parameter
@@ -61,16 +60,15 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
     return tuple(found)
 
 
-def setup_of(view: RigView, kinds: Sequence[str], origins: Sequence[int], around: Fit | None = None) -> Setup:
+def setup_of(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Setup:
     """Return the problem of a view.
 
     Args:
         view: view of a stage.
         kinds: excitation of each of its trials.
         origins: recording that each trial was cut from.
-        around: fit around whose effects the nuisances act linearly, by default the nominal model.
     """
-    return Setup([view], nuisances(view), kinds, origins, view.block_s, around)
+    return Setup([view], nuisances(view), kinds, origins, view.block_s)
 
 
 def candidate(view: RigView, effect: Effect) -> Candidate:

@@ -272,8 +272,7 @@ class _Stage:
             self.decision = without(self.decision, dropped)
             self._predict()
         if self.decision.selected:  # beside a large effect, the model's parameters act differently
-            setup = fitted.setup
-            self.fitted = fitted.on(setup_of(self.view, setup.kinds, setup.origins, self.fit))
+            self.fitted = fitted.on(fitted.setup.beside(self.fit))
             self._predict()
         if known and self.decision.kind in ("none", "unknown"):
             kind: Kind = "named" if self.decision.kind == "none" else "incomplete"

@@ -157,10 +157,8 @@ def _searched(
 
 def _sized(joint: Examination, common: Set[str]) -> FittedChoice:
     """Return the choice of a search, with nuisances as they act beside its effects if it chose a common one."""
-    chosen, setup = joint.choice.chosen, joint.setup
-    if common.isdisjoint(chosen.names):
-        return joint
-    return joint.on(Setup(setup.views, setup.nuisances, setup.kinds, setup.origins, setup.block_s, chosen))
+    chosen = joint.choice.chosen
+    return joint if common.isdisjoint(chosen.names) else joint.on(joint.setup.beside(chosen))
 
 
 def tolerated(

@@ -111,6 +111,6 @@ def test_beside_an_effect_a_nuisance_acts_as_it_does_there(share, slope):
     (nothing,) = Setup([gauge], NUISANCES, kinds).plain().fit([((), ())])
     effect = candidate(SCALE, 0.5, 5.0, 0.5, 1.5, nominal=1.0)
     fit = replace(nothing, effects=(effect,), u=((3.0,),), nuisance=np.array([0.0, share, 0.0]))
-    changes = Setup([gauge], NUISANCES, kinds, around=fit).directions[0].nuisances
+    changes = Setup([gauge], NUISANCES, kinds).beside(fit).directions[0].nuisances
     assert changes[1] == pytest.approx(np.full_like(changes[1], -3 * 0.5 * slope), rel=1e-4)
     assert not changes[0].any()  # the scale itself is the effect's

@@ -61,7 +61,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         return None
     stages = {*verdict.where.share, *(place.partition(".")[0] for place in found)}
     model, left_out = mechanism(path, stages), []
-    found = _agreed(found, model)
+    found = agreed(found, model)
     before = model.mjcf()
     edits = _Edits(before)
     payloads: dict[str, list[tuple[float, ...]]] = {}  # body -> mass and place of each joint that weighs it
@@ -105,7 +105,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     return MjcfPatch(after, "".join(lines), tuple(left_out))
 
 
-def _agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
+def agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
     """Return the findings with one size for all joints that an actuator moves: the mean over those that show it."""
     sizes: dict[tuple[str, str], list[float]] = {}  # by actuator and parameter
     moved: dict[str, Actuator] = {}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, mechanism
-from softarm.diagnosis.rigs.mjcf.patch import standard
+from softarm.diagnosis.rigs.mjcf.patch import agreed, standard
 from softarm.schemas.verdict import Verdict
 
 # Parameter of a verdict -> field of `Parameters`; everything else of a verdict is in the patched model.
@@ -102,24 +102,25 @@ class RuntimeEffects:
         robot = mechanism(model, found.where.share)
         joints = tuple(robot.joints.values())
         values = {name: np.full(len(joints), default, float) for name, default in Parameters._field_defaults.items()}
-        for path, of in found.findings(calibration, best_fit).items():
+        sizes = {path: standard(*of) for path, of in found.findings(calibration, best_fit).items()}
+        for path, size in agreed(sizes, robot).items():
             stage, _, name = path.partition(".")
             if field := _FIELDS.get(name):
                 place = joints.index(robot.joint(stage))
                 _refuse_common(joints[place], field, path)
-                values[field][place] = standard(*of)
+                values[field][place] = size
         for effect in found.effects:
             stage, _, name = effect.name.partition(".")
             place = joints.index(robot.joint(stage))
-            for parameter, size in effect.parameters.items():
+            for parameter, known in effect.parameters.items():
                 if (field := _FIELDS.get(f"{name}.{parameter}")) and not (best_fit and stage in found.best_fit):
-                    intervals[field, place] = standard(size.low, size.unit), standard(size.high, size.unit)
+                    intervals[field, place] = standard(known.low, known.unit), standard(known.high, known.unit)
         late_s = values["dead_time_s"]
         for place in map(int, np.flatnonzero(late_s)):  # an actuator is late for all joints that it moves
             actuator = joints[place].actuator
             for other in map(robot.joint, actuator.others if actuator else ()):
                 k = joints.index(other)
-                late_s[k] = max(late_s[k], late_s[place])
+                late_s[k] = late_s[place]
                 if ("dead_time_s", place) in intervals:
                     intervals["dead_time_s", k] = intervals["dead_time_s", place]
         delays = [0.0, *values["dead_time_s"], *values["latency_s"]]

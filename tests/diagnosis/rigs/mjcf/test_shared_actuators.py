@@ -192,6 +192,9 @@ def test_an_effect_on_the_error_of_a_common_loop_is_refused_at_run_time(tmp_path
         simulation.step(np.array([0.01 * k]))
         sent.append(data.ctrl[0])
     assert sent[30:] == pytest.approx(0.01 * np.arange(10, 20))
+    both = with_parameters([("middle.dead_time.delay", 0.02, "s"), ("knuckle.dead_time.delay", 0.01, "s")])
+    file.write_text(both.model_dump_json())
+    assert RuntimeEffects.read(file, model).parameters.dead_time_s.tolist() == [0.015, 0.015]
 
 
 def test_a_joint_that_no_column_measures_is_required(tmp_path):
