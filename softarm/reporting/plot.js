@@ -191,6 +191,16 @@
     button.addEventListener("click", DO[button.dataset.do]);
   }
 
+  // ---- film of a mechanism
+
+  for (const figure of document.querySelectorAll("figure.film")) {
+    const film = figure.querySelector("svg");
+    figure.querySelector("button").addEventListener("click", () => {
+      if (film.animationsPaused()) film.unpauseAnimations(); else film.pauseAnimations();
+    });
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) film.pauseAnimations();
+  }
+
   // ---- size, colour scheme, printing
 
   choose(data.items[data.first].chosen);

@@ -73,6 +73,18 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
+class Film:
+    """Links of a mechanism in some seconds of a trial."""
+
+    trial: str
+    t_s: Array  # [F]
+    lines: Mapping[
+        str, Array
+    ]  # measured, nominal and, with named effects, patched -> ends of the links, m [F, L, 2, 3]
+    factor: float  # by which deviations from the measured motion are enlarged
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The verdict and its evidence."""
 
@@ -95,3 +107,4 @@ class Diagnosis:
     margins: Mapping[str, float] = field(default_factory=dict)  # of effects that may have a confidence
     vocabulary: Mapping[str, Effect] = field(default_factory=dict)  # effects of a rig; the robot's are in the registry
     calibrated: Model | None = None  # the patched model with the calibration; None without either
+    film: Film | None = None  # of a MuJoCo model

@@ -2,8 +2,8 @@
 
 from itertools import combinations
 
+from softarm.diagnosis.answer.worst import worst
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.report import overlays
 from softarm.diagnosis.report.words import known
 from softarm.reporting.numbers import listed
 from softarm.schemas.excitation import EXCITATIONS, Excitation
@@ -24,9 +24,9 @@ def steps(diagnosis: Diagnosis) -> list[str]:
         found.append(_recording(plan))
     found += _sets(diagnosis)
     if diagnosis.verdict.verdict == "unknown" and plan is None and diagnosis.overlays:
-        worst = diagnosis.overlays[overlays.first(diagnosis)]
+        largest = diagnosis.overlays[worst(diagnosis)]
         found.append(
-            f"Repeat {worst.trial} about five times; it shows the gap of {worst.stage} best. "
+            f"Repeat {largest.trial} about five times; it shows the gap of {largest.stage} best. "
             "A part that repeats is an unknown effect; a part that does not is chance."
         )
     return found

@@ -7,8 +7,9 @@ from softarm.common import files
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report import evidence, overlays, sections, stages
 from softarm.diagnosis.report.answer import headline
+from softarm.diagnosis.report.film import drawing
 from softarm.reporting.document import Section, document
-from softarm.reporting.markup import Html
+from softarm.reporting.markup import Html, join
 
 FurtherSections = Iterable[tuple[str, str]]
 
@@ -27,7 +28,7 @@ def write(diagnosis: Diagnosis, path: Path, *, further: FurtherSections = ()) ->
 def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
     """Return the report as HTML; equal diagnoses give equal pages."""
     shown = [
-        Section("The worst two seconds", "overlays", evidence.traces(diagnosis)),
+        Section("The worst two seconds", "overlays", _worst(diagnosis)),
         Section("Next experiment", "next", sections.next_step(diagnosis)),
         *(Section(title, f"further-{i}", Html(body)) for i, (title, body) in enumerate(further, 1)),
         Section("Stage by stage", "stages", stages.section(diagnosis), folded=True),
@@ -40,3 +41,8 @@ def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
     ]
     lead, data = sections.result(diagnosis), overlays.packed(diagnosis)
     return document(headline(diagnosis), "softarm diagnosis", lead, shown, plot=data)
+
+
+def _worst(diagnosis: Diagnosis) -> Html:
+    film = [] if diagnosis.film is None else [drawing(diagnosis.film)]
+    return join([*film, evidence.traces(diagnosis)])

@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.work import Progress
+from softarm.diagnosis.rigs.mjcf.film import film
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP
 from softarm.diagnosis.rigs.settling import common_law, is_other_law
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine, is_rated
@@ -60,8 +61,10 @@ def diagnose_table(
     warnings += [text for stage in stages for text in stage.warnings]
     warnings += joint
     answers = [stage.answer for stage in stages]
+    assembled = assemble(_verdict(stages, answers, warnings), answers, trials, started)
     return replace(
-        assemble(_verdict(stages, answers, warnings), answers, trials, started),
+        assembled,
+        film=film(assembled, trials) if stage_of(own[stages[0].answer.stage]).kind == "mujoco" else None,
         rivals=tuple(rival for s in stages for rival in s.rivals),
         margins={name: x for s in stages if is_rated(s.decision) for name, x in margins(s.decision.selected).items()},
         noise={s.answer.stage: s.noise for s in stages if s.noise},

@@ -202,6 +202,10 @@ class Mechanism:
             above, below = (centre._replace(position=centre.position + way) for way in (shift, -shift))
         return Course((qpos[:, joint.position], qvel[:, dof]), centre, faster, above, below)
 
+    def lines(self, joint: Joint, motion: Motion) -> Array:
+        """Return the links along a motion as lines, [T, L, 2, 3], m; see `course` and `Links.lines`."""
+        return self._links.lines(self.course(joint, motion).centre.position)
+
     def terms(self, joint: Joint, course: Course, change: Change = Change()) -> Array:
         """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
 

@@ -133,13 +133,14 @@ class JointView(RigView):
             self._refuse_touching(seen, trials)
         t_s = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
-        swing = within_windows(self._motions, self._edges)
+        self._seen, swing = self.measured[:, 0].copy(), within_windows(self._motions, self._edges)
         self._noise = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
         self._samples = samples_averaged(self._noise / swing, scales.period_s, scales.step_s)
         self._simulation = self._simulated(self._edges)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
         self.measure_noise()
+        self.measured = averaged(self.measured.T, slices(self.trial), self._samples).T
         self._zeros = self._zeros_of(trials)
         simulated = ((1.0, 0.0), (1.0, 1.0)) if self._feels_steps() else ((1.0, 0.0),)
         self.laws = [{CREEP: creeps, STEPPED: stepped} for creeps, stepped in ((0.0, 0.0), *simulated)]
@@ -157,7 +158,7 @@ class JointView(RigView):
             self._each,
         )
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
-        found.start(self.measured[:, 0], edges, slow, nominal, self._noise)
+        found.start(self._seen, edges, slow, nominal, self._noise)
         return found
 
     def uninterrupted(self) -> Self:
@@ -249,7 +250,7 @@ class JointView(RigView):
         trials = zip(slices(self.trial), self._motions, strict=True)
         self._unsure |= np.concatenate([widened(large[part], m.grid.step_s) for part, m in trials])
         if self._unsure_share <= UNSURE_MOST:
-            self.measured[self._unsure] = np.nan
+            self.measured[self._unsure] = self._seen[self._unsure] = np.nan
             self._simulation.leave_out(self._unsure)
 
     @property

@@ -1,10 +1,10 @@
-"""Tests of the overlays: which signal the plot shows first, and which part of it."""
+"""Place of the largest gap: which signal a report shows first, and which part of it."""
 
 import numpy as np
 import pytest
 
+from softarm.diagnosis.answer.worst import window, worst
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
-from softarm.diagnosis.report.overlays import first, window
 from tests.diagnosis.verdicts import gap, rms, verdict
 
 UNITS = {"arm": "m", "pressure": "kPa"}
@@ -20,7 +20,7 @@ def drawn(stage, trial, swing, gap, samples=400):
 def shown_first(stage, *overlays):
     """Return the trial that the plot of a diagnosis with this stage shows first."""
     found = verdict("unknown", stage=stage, gaps=gap(floor=FLOORS))
-    return overlays[first(Diagnosis(found, None, None, (), overlays))].trial
+    return overlays[worst(Diagnosis(found, None, None, (), overlays))].trial
 
 
 def test_the_plot_opens_at_the_largest_gap_in_noise_floors():

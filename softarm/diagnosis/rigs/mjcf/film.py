@@ -1,0 +1,88 @@
+"""Film of a mechanism: its links as measured and as the models move them, in the seconds of the largest gap."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from softarm.diagnosis.answer.worst import window, worst
+from softarm.diagnosis.data.trials import Trial, stage_of
+from softarm.diagnosis.engine.result import Diagnosis, Film, Overlay
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf import drive
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism, mechanism
+
+FRAMES_PER_S = 20.0
+# Factors by which deviations may be enlarged, and the largest drawn deviation as a share of the mechanism's extent.
+FACTORS = 1, 2, 5, 10, 20, 50, 100
+DRAWN = 0.1
+
+
+def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
+    """Return the film of a diagnosis, or None if no stage stands out.
+
+    Deviations are those of each stage alone, driven by the measured motion of the others.
+
+    Args:
+        diagnosis: diagnosis with its signals in standard units.
+        trials: trials of all joints.
+    """
+    if diagnosis.verdict.where.stage is None or not diagnosis.overlays:
+        return None
+    shown = diagnosis.overlays[worst(diagnosis)]
+    (trial,) = (t for t in trials if stage_of([t]).name == shown.stage and _is_of(shown, t))
+    start, end = window(shown) or (float(shown.t_s[0]), float(shown.t_s[-1]))
+    t_s = np.arange(start, end, 1 / FRAMES_PER_S)
+    model = mechanism(Path(str(stage_of([trial]).model["mjcf"])), *drive.columns([trial]))
+    measured = _measured(model, trial, t_s)
+    seen = [each for each in diagnosis.overlays if _is_of(each, trial) and each.stage in measured]
+    apart = {"nominal": _apart(seen, [each.nominal for each in seen], t_s)}
+    if any(each.patched is not None for each in seen):
+        apart["patched"] = _apart(seen, [each.nominal if each.patched is None else each.patched for each in seen], t_s)
+
+    def lines(kind: str, factor: float) -> Array:
+        moved = {name: x + factor * apart[kind].get(name, 0.0) for name, x in measured.items()}
+        still = np.zeros_like(t_s)
+        return model.lines(model.joint(shown.stage), {name: (x, still, still) for name, x in moved.items()})
+
+    found = {"measured": lines("nominal", 0.0)}
+    factor = _factor(found["measured"], lines("nominal", 1.0))
+    return Film(_recording(trial.name, shown.stage), t_s, found | {kind: lines(kind, factor) for kind in apart}, factor)
+
+
+def _is_of(overlay: Overlay, trial: Trial) -> bool:
+    """Return whether an overlay shows the recording of a trial, or a stretch of it."""
+    return _recording(overlay.trial, overlay.stage) == _recording(trial.name, stage_of([trial]).name)
+
+
+def _recording(trial: str, stage: str) -> str:
+    """Return the name of a trial's recording without that of its stage."""
+    return trial.partition(" from ")[0].removesuffix(f"/{stage}")
+
+
+def _measured(model: Mechanism, trial: Trial, t_s: Array) -> dict[str, Array]:
+    """Return the measured positions and poses at some times, by column."""
+    found = {}
+    for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
+        for pose in model.poses:
+            series = pose.continuous(series, trial.source)
+        for name, values in series.columns.items():
+            known = np.isfinite(values)
+            found[name] = np.interp(t_s, series.t_s[known], values[known])
+    return found
+
+
+def _apart(seen: Sequence[Overlay], simulated: Sequence[Array], t_s: Array) -> Mapping[str, Array]:
+    """Return the deviation of the simulated joints from the measured ones at some times, by joint; 0 where unknown."""
+    found: dict[str, Array] = {}
+    for each, values in zip(seen, simulated, strict=True):
+        apart = np.nan_to_num(values - each.measured)
+        found[each.stage] = found.get(each.stage, 0.0) + np.interp(t_s, each.t_s, apart, left=0.0, right=0.0)
+    return found
+
+
+def _factor(measured: Array, nominal: Array) -> float:
+    """Return the factor by which deviations are drawn larger; measured, nominal: lines, [F, L, 2, 3]."""
+    extent = float(np.linalg.norm(np.ptp(measured.reshape(-1, 3), axis=0)))
+    apart = float(np.linalg.norm(nominal - measured, axis=-1).max(initial=1e-12))
+    return float(max(f for f in FACTORS if f == 1 or f * apart <= DRAWN * extent))
