@@ -32,11 +32,11 @@ def drawing(film: Film) -> Html:
 def _projected(film: Film) -> dict[str, Array]:
     """Return the lines of each robot in the drawing's plane, [F, L, 2, 2], in its units.
 
-    The plane is upright and holds the widest horizontal motion; a flat mechanism is seen from above.
+    The plane is upright and shows the largest horizontal deviation; a flat mechanism is seen from above.
     """
     every = np.concatenate([lines.reshape(-1, 3) for lines in film.lines.values()])
-    centre = every.mean(axis=0)
-    _, _, across = np.linalg.svd((every - centre)[:, :2], full_matrices=False)
+    apart = (film.lines["nominal"] - film.lines["measured"]).reshape(-1, 3)
+    _, _, across = np.linalg.svd(apart[:, :2], full_matrices=False)
     wide, deep, up = np.array([*across[0], 0.0]), np.array([*across[1], 0.0]), np.array([0.0, 0.0, 1.0])
     wide *= np.sign(wide[np.argmax(np.abs(wide))])
     axes = np.stack((wide, up if np.ptp(every @ up) > FLAT * np.ptp(every @ wide) else deep))
