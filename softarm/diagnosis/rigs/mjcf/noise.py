@@ -1,17 +1,21 @@
 """Noise of a joint's readings beside that of the other joints, and averages over samples that reduce it."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.scales import white_noise
+from softarm.diagnosis.rigs.scales import ORDERS, white_noise
 
 # Noise as a share of a joint's travel in a window from which samples are averaged, and the averages per period.
 NOISY, AVERAGES = 0.01, 20
 # Correlation between the noise of two readings below which they count as independent.
 CORRELATED = 0.3
+# Largest relative difference between estimates from two orders of differences, of white noise; and a difference in its
+# medians that counts no further.
+WHITE, OUTLYING = 0.15, 4.0
 # Share of the largest eigenvalue below which correlations count as singular.
 SINGULAR = 1e-3
 
@@ -58,8 +62,7 @@ def drawn(others: Sequence[Array], own: Array, random: np.random.Generator) -> t
         Noise of the other joints [C, T], and the own part [T], which is 0 for independent readings.
     """
     readings = [*others, own]
-    sizes = np.array([white_noise([x]) for x in readings])
-    correlations = _correlations(readings, sizes)
+    sizes, correlations = np.array([white_noise([x]) for x in readings]), _correlations(readings)
     among, between = correlations[:-1, :-1], correlations[-1, :-1]
     values, axes = np.linalg.eigh(among)
     root = axes * np.sqrt(np.maximum(values, 0.0)) @ axes.T
@@ -68,11 +71,17 @@ def drawn(others: Sequence[Array], own: Array, random: np.random.Generator) -> t
     return sizes[:-1, None] * units, np.asarray(shared)
 
 
-def _correlations(readings: Sequence[Array], sizes: Array) -> Array:
-    """Return the correlation of the noise of each two readings, [C, C]; small ones are 0."""
-    found, scaled = np.eye(len(readings)), [x / max(s, 1e-12) for x, s in zip(readings, sizes, strict=True)]
-    for i, one in enumerate(scaled):
-        for j in range(i):
-            both = (white_noise([one + scaled[j]]) ** 2 - white_noise([one - scaled[j]]) ** 2) / 4
-            found[i, j] = found[j, i] = both if abs(both) > CORRELATED else 0.0
-    return found
+def _correlations(readings: Sequence[Array]) -> Array:
+    """Return the correlation of the white noise of each two readings, [C, C]; small ones are 0.
+
+    Smooth motion vanishes in differences of high order. What has not vanished shrinks from one order to the next.
+    """
+    lower, higher = (np.diff(readings, order, axis=1) / math.sqrt(math.comb(2 * order, order)) for order in ORDERS[-2:])
+    sizes = [np.maximum(np.median(np.abs(each), axis=1), 1e-12) for each in (lower, higher)]
+    white = np.abs(sizes[1] / sizes[0] - 1) < WHITE
+    usual = np.clip(higher / sizes[1][:, None], -OUTLYING, OUTLYING)
+    size = np.maximum(np.sqrt(np.mean(usual**2, axis=1)), 1e-12)
+    found = usual @ usual.T / usual.shape[1] / np.outer(size, size)
+    found[(np.abs(found) < CORRELATED) | ~np.outer(white, white)] = 0.0
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(found)

@@ -59,6 +59,14 @@ def test_independent_readings_share_no_noise():
     assert not shared.any()
 
 
+def test_motion_that_is_fast_beside_the_samples_is_no_noise():
+    """Both joints swing at 3 Hz with fine encoders and 20 samples a second."""
+    random, t = np.random.default_rng(5), np.arange(2000) / 20
+    other, own = np.sin(6 * np.pi * t + 0.3 * np.sin(t)) + 1e-6 * random.normal(size=(2, 2000))
+    (_, shared) = drawn([other], own, random)
+    assert not shared.any()
+
+
 def tracked_arm(folder, noise_m, gain=1.0, trials=2, seconds=10.0):
     """Record the exported soft arm with another gain of its muscle, as points on its links, and describe it."""
     text = mjcf.export(model_file.load("seed")).xml
