@@ -56,8 +56,8 @@ def _is_of(overlay: Overlay, trial: Trial) -> bool:
 
 
 def _recording(trial: str, stage: str) -> str:
-    """Return the name of a trial's recording without that of its stage."""
-    return trial.partition(" from ")[0].removesuffix(f"/{stage}")
+    """Return the name of a trial's recording, without its stage and the start of a stretch."""
+    return trial.rpartition(f"/{stage}")[0]
 
 
 def _measured(model: Mechanism, trial: Trial, t_s: Array) -> dict[str, Array]:

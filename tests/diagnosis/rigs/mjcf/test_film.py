@@ -78,8 +78,8 @@ def test_without_a_named_effect_there_is_no_patched_robot_and_a_large_deviation_
 
 def test_stretches_of_a_recording_are_joined(filmed):
     """A long recording is cut, and each stage may have other stretches."""
-    found = filmed({"shoulder": 0.01 * WORST, "elbow": 0.02 * WORST}, name="run-0/{} from 0.5 s")
-    assert found.trial == "run-0"
+    found = filmed({"shoulder": 0.01 * WORST, "elbow": 0.02 * WORST}, name="run from 2 s/{} from 0.5 s")
+    assert found.trial == "run from 2 s"
     assert np.linalg.norm(found.lines["nominal"] - found.lines["measured"], axis=-1).max() > 0.01
 
 
