@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from softarm.diagnosis.describe.joints import ModelJoint
     from softarm.diagnosis.describe.proposal import Answers, Proposal, Question
     from softarm.diagnosis.describe.survey import Survey
+    from softarm.diagnosis.rigs.mjcf.actuators import Actuator
     from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 
 UNIT_ERROR = 0.2  # relative difference of an actuator's gain and stiffness up to which its command has a unit
@@ -123,14 +124,15 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
         found += [ModelJoint(name, PURE, math.inf, "", "", moved=True) for name in pose.turn]
     for joint in robot.joints.values():
         unit, actuator = "rad" if joint.turns else "m", joint.actuator
-        name = actuator.name if actuator is not None else ""
-        found.append(ModelJoint(joint.name, unit, joint.range[1] - joint.range[0], name, _command_unit(joint)))
+        name, span = actuator.name if actuator is not None else "", joint.range[1] - joint.range[0]
+        shares = {each: _command_unit(joint, own) for each, own in actuator.shares.items()} if actuator else {}
+        found.append(ModelJoint(joint.name, unit, span, name, _command_unit(joint, actuator), shares=shares))
     return tuple(found)
 
 
-def _command_unit(joint: "Joint") -> str:
-    """Return the unit of a joint's command: its position, its speed, its torque, or PURE as for 0 to 255."""
-    (unit, torque), actuator = ("rad", "N m") if joint.turns else ("m", "N"), joint.actuator
+def _command_unit(joint: "Joint", actuator: "Actuator | None") -> str:
+    """Return the unit of an actuator's command: position, speed, or torque of its joint, or PURE as for 0 to 255."""
+    unit, torque = ("rad", "N m") if joint.turns else ("m", "N")
     if actuator is None:
         return torque
     worth = {unit: actuator.kp, f"{unit}/s": actuator.kd, torque: 1.0}

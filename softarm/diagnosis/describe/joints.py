@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ class ModelJoint:
     actuator: str  # empty without one
     command_unit: str
     moved: bool = False  # a column of a floating body's pose, which no torque of the model moves
+    shares: Mapping[str, str] = field(default_factory=dict)  # several actuators -> unit of the command
 
     @property
     def widest(self) -> float:
@@ -89,17 +90,15 @@ def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Sign
             continue
         signals = [s for s in draft.moving if not s.elements and s not in taken and joint in _owners(s, joints)]
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
-        command = _first(draft, commands, _no_commands(joint))
+        sent = _sent(draft, joint, commands)
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
         if measured is None:
-            if joint.actuator and command is not None:
-                unseen[joint.actuator] = _use(draft, command, joint.command_unit, joint.widest)
+            unseen |= sent
             continue
-        driven = bool(joint.actuator) and command is not None
-        channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
+        channel = "base" if joint.moved or (joint.actuator and not sent) else "measured"
         found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.widest)
-        if joint.actuator and command is not None:
-            found.setdefault("command", {})[joint.actuator] = _use(draft, command, joint.command_unit, joint.widest)
+        if sent:
+            found.setdefault("command", {}).update(sent)
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
     if tracked and "measured" not in found:
@@ -107,6 +106,21 @@ def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Sign
         found["command"] = {**found.get("command", {}), **unseen}
         draft.notes.append("Tracked points have to be in the model's frame")
     return {channel: columns for channel, columns in found.items() if columns}
+
+
+def _sent(draft: Draft, joint: ModelJoint, commands: Sequence[Signal]) -> dict[str, Use]:
+    """Return the columns of a joint's actuators by their names, none if one is missing; commands: those of the joint.
+
+    Of several actuators a column has the name.
+    """
+    if joint.shares:
+        named = {name: [s for s in draft.moving if _plain(s.header.name) == _plain(name)] for name in joint.shares}
+        found = {name: _use(draft, of[0], joint.shares[name], math.inf) for name, of in named.items() if of}
+        return found if len(found) == len(named) else {}
+    command = _first(draft, commands, _no_commands(joint))
+    if command is None or not joint.actuator:
+        return {}
+    return {joint.actuator: _use(draft, command, joint.command_unit, joint.widest)}
 
 
 def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
@@ -118,7 +132,7 @@ def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
 
 def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
     """Return the columns of a model's recordings, whose names may end like a unit: `fl_kn` is no force in kN."""
-    names = {_plain(name) for joint in joints for name in (joint.name, joint.actuator)} - {""}
+    names = {_plain(name) for joint in joints for name in (joint.name, joint.actuator, *joint.shares)} - {""}
 
     def read(signal: Signal) -> Signal:
         source, header = str(signal.source), signal.header
@@ -132,7 +146,7 @@ def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
 def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Collection[str]) -> dict[str, Signal]:
     """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw."""
     known = {_plain(name): name for name in sorted(places, key=len)}
-    others = {_plain(name) for joint in joints for name in (joint.name, joint.actuator)}
+    others = {_plain(name) for joint in joints for name in (joint.name, joint.actuator, *joint.shares)}
     found = dict[str, Signal]()
     for signal in draft.moving:
         header = _plain(signal.header.name)

@@ -1,6 +1,6 @@
 """Actuators of a MuJoCo model, and the joints that they move."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,6 +37,22 @@ class Actuator:
     own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
     joint_limited: bool = False  # by `actuatorfrcrange` of its joint, besides its own range
     others: Mapping[str, float] = field(default_factory=dict)  # other joint that it moves -> length per position
+    # Of several actuators at one joint, such as an antagonistic pair: each by its name. Their sum has a scale of one.
+    shares: Mapping[str, "Actuator"] = field(default_factory=dict)
+
+    def sent(self, command: Callable[[str], Array]) -> Array:
+        """Return the command within its range at each sample, [T]; of several actuators the sum of their torques.
+
+        Args:
+            command: returns the command of an actuator by its name, [T].
+        """
+        if not self.shares:
+            return np.clip(command(self.name), self.command_low, self.command_high)
+        return np.asarray(sum(each.given(command) for each in self.shares.values()))
+
+    def given(self, command: Callable[[str], Array]) -> Array:
+        """Return the joint torque of an actuator without a loop at each sample, [T]; see `sent`."""
+        return self.torque(self.sent(command), np.zeros(1), np.zeros(1))
 
     def torque(self, command: Array, position: Array, speed: Array) -> Array:
         """Return the joint torque at each sample, [T each]."""
@@ -64,15 +80,21 @@ class Actuators:
             return None, ""
         names = ", ".join(self._name_of("actuator", i) for i in own)
         instead = f"give its torque under `torque`, as {joint}"
-        if len(own) > 1:
-            return None, f"joint {joint} has {len(own)} actuators ({names}); allowed is one; join them, or {instead}"
-        if not (self._is_affine(own[0]) and self._is_linear(own[0])):
+        if not all(self._is_affine(i) and self._is_linear(i) for i in own):
             return None, (
                 f"joint {joint} is moved by {names}, which is neither a motor, position, velocity nor general actuator "
                 "of a joint, or of a tendon with constant ratios to its joints, with fixed gain and affine bias; write "
                 f"it as one of these, or {instead}"
             )
-        return self._read(own[0], dof, number), ""
+        first, *others = (self._read(i, dof, number) for i in own)
+        if not others:
+            return first, ""
+        if all(_may_share(each, first) for each in (first, *others)):
+            return _joined((first, *others)), ""
+        return None, (
+            f"joint {joint} has {len(own)} actuators ({names}); several are allowed without position or velocity "
+            f"loops, with one time constant and without a force range behind it; join them, or {instead}"
+        )
 
     def _transmission(self, closure: Closure, position: Array) -> tuple[Array, Array]:
         """Return moments about the independent degrees of freedom [nu, nv] and lengths [nu] at a position."""
@@ -139,3 +161,26 @@ class Actuators:
                 if other != dof
             },
         )
+
+
+def _may_share(actuator: Actuator, first: Actuator) -> bool:
+    """Return whether an actuator may move a joint together with another: a motor that is as slow and as late.
+
+    The limit of a slow motor acts behind its lag, which the sum of the commands has not passed.
+    """
+    is_motor = not actuator.kp and not actuator.kd and not actuator.joint_limited
+    limited = np.isfinite(actuator.low) or np.isfinite(actuator.high)
+    alike = (actuator.lag_s, actuator.delay_s) == (first.lag_s, first.delay_s)
+    return bool(is_motor and alike and not (limited and actuator.lag_s) and "." not in actuator.name)
+
+
+def _joined(actuators: Sequence[Actuator]) -> Actuator:
+    """Return the sum of several motors at one joint, whose command is their torque."""
+    first = actuators[0]
+    return Actuator(
+        " and ".join(each.name for each in actuators),
+        lag_s=first.lag_s,
+        delay_s=first.delay_s,
+        others={name: ratio for each in actuators for name, ratio in each.others.items()},
+        shares={each.name: each for each in actuators},
+    )

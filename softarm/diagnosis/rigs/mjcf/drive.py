@@ -1,10 +1,10 @@
 """Inputs of a joint's actuator in its recordings: commands, and the motion of other joints that it moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.data.trials import Series, Trial, TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_integral, held_means
 from softarm.diagnosis.rigs.laws import joint as laws
@@ -37,18 +37,27 @@ def inputs(joint: Joint, trials: Sequence[Trial]) -> tuple[Actuator | None, list
         raise TrialError(joint.problem)
     elif actuator is None:
         return None, []
-    elif lacking := _lacking(trials, channel, actuator.name):
+    elif missing := [
+        (t, each) for each in actuator.shares or (actuator.name,) for t in _lacking(trials, channel, each)
+    ]:
+        trial, name = missing[0]
         raise TrialError(
-            f"{lacking[0].source}: joint {joint.name} is moved by the actuator {actuator.name}, whose command is "
-            f"missing; add a column {actuator.name} to `command`, or {joint.name} to `torque`"
+            f"{trial.source}: joint {joint.name} is moved by the actuator {name}, whose command is "
+            f"missing; add a column {name} to `command`, or {joint.name} to `torque`"
         )
     elif unseen := sorted(actuator.others.keys() - set().union(*columns(trials))):
         raise TrialError(
             f"{trials[0].source}: {actuator.name} moves {joint.name} and {', '.join(unseen)}, which no column "
             "measures; add it to `measured` or `base`"
         )
-    low, high, series = actuator.command_low, actuator.command_high, [t.channel(channel) for t in trials]
-    return actuator, [held_integral(s, np.clip(s[actuator.name], low, high), 10.0) for s in series]
+    return actuator, received(actuator.sent, [t.channel(channel) for t in trials])
+
+
+def received(
+    signal: Callable[[Callable[[str], Array]], Array], commands: Sequence[Series]
+) -> list[tuple[Array, Array]]:
+    """Return stamps and integral of a signal made of the commands of each trial, such as `Actuator.sent`."""
+    return [held_integral(series, signal(series.__getitem__), 10.0) for series in commands]
 
 
 def settled_s(actuator: Actuator | None, trials: Sequence[Trial]) -> list[float]:

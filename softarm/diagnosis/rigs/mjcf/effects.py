@@ -15,6 +15,8 @@ LEAST_GAIN = -0.998
 LEAST_MASS = -0.5
 # Effects of an actuator that have one size for all joints that it moves.
 ACTUATOR = "gain", "position_gain", "lag", "dead_time"
+# Beginning of the name of a gain, if several actuators move the joint.
+GAIN_OF = "gain_"
 # Beginning of the name of an error of one part's mass.
 MASS = "mass_"
 # Share of the usual torque: a friction that matters.
@@ -71,6 +73,7 @@ class JointScales:
     joint: Joint
     driven: bool  # by an actuator or a measured torque
     follows: bool  # the actuator is a position loop
+    actuators: tuple[str, ...]  # if several motors move the joint
     torque: float  # largest torque that the motion and the loads need
     usual: float  # mean size of that torque
     lost: float  # mean torque of a motor that acts along the motion and that the motion does not need
@@ -109,6 +112,11 @@ def joint_effects(stage: str, scales: JointScales) -> tuple[Effect, ...]:
     """Return every effect that a joint can show in its recordings, in the order in which a command meets it."""
     drive = _drive(scales) if scales.driven else ()
     return of_stage(stage, [*drive, *_friction(scales), *_bodies(scales), *_sensor(scales)], _RIVALS)
+
+
+def of_actuator(effect: str) -> bool:
+    """Return whether an effect has one size for all joints that its actuator moves."""
+    return effect in ACTUATOR or effect.startswith(GAIN_OF)
 
 
 def adds_mass(effect: str) -> bool:
@@ -150,13 +158,9 @@ def _drive(s: JointScales) -> Iterator[Effect]:
         "the actuator of {stage} follows with a time constant of {time}",
         strength("time", "s", 0.0, 0.0, late, usual, "time constant"),
     )
-    yield Effect(
-        "gain",
-        (strength("scale", "-", 0.0, LEAST_GAIN, 4.0, 0.1, "relative error of gain and bias"),),
-        "the actuator makes torque x (1 + scale)",
-        "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
-        plain="the actuator's gain of {stage} is off by {scale}",
-    )
+    yield from (_gain(GAIN_OF + name, f"gain of the actuator {name}") for name in s.actuators)
+    if not s.actuators:
+        yield _gain("gain", "actuator's gain")
     if s.follows:
         yield from _loop(s)
     else:
@@ -166,12 +170,24 @@ def _drive(s: JointScales) -> Iterator[Effect]:
             "a constant {torque} acts at {stage}",
             strength("torque", s.force, 0.0, -s.torque, s.torque, 0.5 * USUAL * s.usual, ""),
         )
+    if s.actuators:
+        return
     yield Effect(
         "ceiling",
         (strength("limit", s.force, math.inf, 0.1 * s.torque, 3 * s.torque, 0.7 * s.torque, "either way"),),
         "the actuator's torque ends at this (forcerange)",
         "standard saturation; motors and amplifiers state a peak current",
         plain="the torque of {stage} ends at {limit}",
+    )
+
+
+def _gain(name: str, whose: str) -> Effect:
+    return Effect(
+        name,
+        (strength("scale", "-", 0.0, LEAST_GAIN, 4.0, 0.1, "relative error of gain and bias"),),
+        "the actuator makes torque x (1 + scale)",
+        "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
+        plain=f"the {whose} of {{stage}} is off by {{scale}}" if name == "gain" else f"the {whose} is off by {{scale}}",
     )
 
 

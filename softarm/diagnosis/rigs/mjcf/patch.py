@@ -8,7 +8,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -18,7 +18,7 @@ import numpy as np
 from softarm.common.quantity import factor
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
-from softarm.diagnosis.rigs.mjcf.effects import ACTUATOR, MASS
+from softarm.diagnosis.rigs.mjcf.effects import GAIN_OF, MASS, of_actuator
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Inertial, Joint, Mechanism, mechanism
 from softarm.schemas.verdict import Verdict
@@ -114,7 +114,7 @@ def agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
         actuator = model.joint(name).actuator
         if actuator is not None and actuator.others:
             moved[name] = actuator
-            if parameter.partition(".")[0] in (*ACTUATOR, "ceiling"):
+            if of_actuator(effect := parameter.partition(".")[0]) or effect == "ceiling":
                 sizes.setdefault((actuator.name, parameter), []).append(value / _worth(actuator, parameter))
     return {
         **found,
@@ -139,6 +139,8 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     if parameter in _JOINT:
         return edits.set(_Element("joint", joint.name), _JOINT[parameter], _short(value))
     actuator = joint.actuator
+    if actuator is not None and actuator.shares:
+        return _written_to_shares(edits, joint, parameter, value)
     element = edits.actuator(actuator.name, joint.name) if actuator else None
     if actuator is None or element is None:
         return False
@@ -159,6 +161,18 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
     if element.tag == "motor" and "gainprm" in changes:
         element = edits.rename(element, "general")
     return bool(changes) and all(edits.set(element, attribute, text) for attribute, text in changes.items())
+
+
+def _written_to_shares(edits: "_Edits", joint: Joint, parameter: str, value: float) -> bool:
+    """Write a parameter of several actuators of a joint: the gain of one of them, or the lag of all."""
+    assert joint.actuator is not None
+    effect, _, name = parameter.partition(".")
+    own = f"{effect[: len(GAIN_OF) - 1]}.{name}" if effect.startswith(GAIN_OF) else parameter
+    shares = joint.actuator.shares
+    written = shares if own == parameter else {effect.removeprefix(GAIN_OF)}
+    found = {f"{joint.name}.{own}": value}
+    done = [_written(edits, replace(joint, actuator=shares[each]), own, value, found) for each in written]
+    return all(done)
 
 
 def _limited(low: float, high: float, gear: float) -> dict[str, str]:

@@ -202,7 +202,8 @@ class Simulation:
         self._effects, self._model, self._data, self._step = effects, model, data, mujoco.mj_step
         self._position = np.array([joint.position for joint in effects.joints])
         self._dof = np.array([joint.dof for joint in effects.joints])
-        names = [joint.actuator.name if joint.actuator else "" for joint in effects.joints]
+        own = (joint.actuator for joint in effects.joints)  # several actuators of a joint receive their own commands
+        names = [each.name if each is not None and not each.shares else "" for each in own]
         first = {name: k for k, name in reversed([*enumerate(names)]) if name}  # one joint of each actuator
         self._driven = np.array([*first.values()], dtype=int)
         self._ctrl = np.array([model.actuator(name).id for name in first], dtype=int)
@@ -234,12 +235,18 @@ class Simulation:
 
 
 def _refuse_common(joint: Joint, field: str, path: str) -> None:
-    """Raise TrialError for an effect on the error of a position loop over several joints, which has no one joint."""
-    if joint.follows and joint.actuator is not None and joint.actuator.others and field in _OF_LOOP:
-        raise TrialError(
-            f"{path}: {joint.actuator.name} moves {joint.name} and {', '.join(joint.actuator.others)}, and this effect "
-            "acts on one joint at run time; apply it to the command of the actuator yourself"
-        )
+    """Raise TrialError for an effect on a command that does not belong to one joint.
+
+    That is the error of a position loop over several joints, and the delay of several actuators.
+    """
+    actuator, why = joint.actuator, ""
+    if actuator is not None and actuator.shares and field == "dead_time_s":
+        why = f"{actuator.name} move {joint.name}, and this effect acts on one actuator"
+    elif actuator is not None and joint.follows and actuator.others and field in _OF_LOOP:
+        others = ", ".join(actuator.others)
+        why = f"{actuator.name} moves {joint.name} and {others}, and this effect acts on one joint"
+    if why:
+        raise TrialError(f"{path}: {why} at run time; apply it to the command of the actuator yourself")
 
 
 def _pushed(last: Any, newest: Any, xp: Any) -> Any:

@@ -11,7 +11,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
-from softarm.diagnosis.rigs.mjcf.effects import MASS
+from softarm.diagnosis.rigs.mjcf.effects import GAIN_OF, MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Place, Slopes
@@ -56,6 +56,7 @@ class JointSimulation:
         steps: Stepping,
         motions: Sequence[Motion],
         inputs: Sequence[tuple[Array, Array]],
+        shares: Mapping[str, Sequence[tuple[Array, Array]]],
         along: Sequence[tuple[Array, Array]],
         each: int,
     ) -> None:
@@ -68,11 +69,12 @@ class JointSimulation:
             steps: the model's own integration.
             motions: measured motion of each trial.
             inputs: stamps and integral of each trial's command; empty without an actuator.
+            shares: the same of each of several actuators, by name.
             along: length and speed of the actuator by the other joints that it moves, [T] of each trial.
             each: integration steps per sample.
         """
         self._joint, self._actuator, self._motions = joint, actuator, motions
-        self._inputs, self._each = inputs, each
+        self._inputs, self._each = {"": inputs, **shares}, each
         self._slopes, self._steps = slopes, steps
         self._along = tuple(map(self._stepped, zip(*along, strict=True))) if along else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
@@ -146,7 +148,7 @@ class JointSimulation:
         law[laws.REST] = joint.rest
         law[laws.LOW], law[laws.HIGH] = -np.inf, np.inf
         if actuator is not None:
-            factor, limit = 1 + at["gain.scale"], at["ceiling.limit"]
+            factor, limit = 1 + at.get("gain.scale", 0.0), at["ceiling.limit"]
             stiff = factor * (1 + at.get("position_gain.scale", 0.0))
             law[laws.KP], law[laws.KD] = stiff * actuator.kp, factor * actuator.kd
             law[laws.LOW], law[laws.HIGH] = actuator.low, actuator.high
@@ -168,13 +170,16 @@ class JointSimulation:
         factor = 1 + at.get("gain.scale", 0.0)
         stiff = factor * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
-        return self._drives(delay_s, at.get("lag.time", 0.0), rate, bias, factor, stiff)
+        lag_s, names = at.get("lag.time", 0.0), [*self._inputs][1:]
+        drive = self._drives(delay_s, lag_s, rate, bias, factor, stiff)
+        gains = {name: gain for name in names if (gain := at.get(f"{GAIN_OF}{name}.scale", 0.0))}
+        return np.asarray(drive + sum(x * self._followed(name, delay_s, lag_s, rate) for name, x in gains.items()))
 
     def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float, stiff: float) -> Array:
         actuator = self._actuator
         if actuator is None:
             return np.zeros(sum(len(m.seen) for m in self._motions) * self._each)
-        (length, speed), sent = self._along, self._followed(delay_s, lag_s, rate) + bias
+        (length, speed), sent = self._along, self._followed("", delay_s, lag_s, rate) + bias
         loop = actuator.scale * sent + actuator.offset - actuator.kp / actuator.gear * length
         return np.asarray(stiff * loop - factor * actuator.kd / actuator.gear * speed)
 
@@ -184,18 +189,18 @@ class JointSimulation:
         pairs = zip(places, signals, strict=True)
         return np.concatenate([np.interp(place, np.arange(len(signal)), signal) for place, signal in pairs])
 
-    def _follow(self, delay_s: float, lag_s: float, rate: float) -> Array:
-        """Return the command that reaches the actuator at every integration step, [M each]."""
-        held = self._held(delay_s)
+    def _follow(self, share: str, delay_s: float, lag_s: float, rate: float) -> Array:
+        """Return the command that reaches the actuator, or one of several, at every integration step, [M each]."""
+        held = self._held(share, delay_s)
         found = [np.empty_like(each) for each in held]
         for m, command, out in zip(self._motions, held, found, strict=True):
             laws.follow(command, rate, lag_s, m.grid.step_s / self._each, out)
         return np.concatenate(found)
 
-    def _hold(self, delay_s: float) -> list[Array]:
+    def _hold(self, share: str, delay_s: float) -> list[Array]:
         """Return each trial's delayed command at its integration steps."""
         found = []
-        for m, integral in zip(self._motions, self._inputs, strict=True):
+        for m, integral in zip(self._motions, self._inputs[share], strict=True):
             h = m.grid.step_s / self._each
             # A step begins with its kick and ends with its motion, so the mean of the drive is that around its start.
             found.append(held_means(integral, m.grid.t_s[0] - delay_s - 0.5 * h, h, len(m.seen) * self._each))

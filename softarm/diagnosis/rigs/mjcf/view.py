@@ -19,7 +19,15 @@ from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, drive
 from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
-from softarm.diagnosis.rigs.mjcf.effects import ACTUATOR, MASS, JointScales, adds_mass, joint_effects, part_effects
+from softarm.diagnosis.rigs.mjcf.effects import (
+    GAIN_OF,
+    MASS,
+    JointScales,
+    adds_mass,
+    joint_effects,
+    of_actuator,
+    part_effects,
+)
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.noise import averaged, samples_averaged
@@ -92,6 +100,10 @@ class JointView(RigView):
         self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
         self._actuator, self._inputs = drive.inputs(joint, trials)
+        shares = self._actuator.shares if self._actuator is not None else {}
+        self._shares = {
+            n: drive.received(each.given, [t.channel("command") for t in trials]) for n, each in shares.items()
+        }
         self._settled_s = drive.settled_s(self._actuator, trials)
         step = resolution([t.channel("measured")[joint.name] for t in trials])
         limit = largest_acceleration(trials, joint.name, step)
@@ -109,7 +121,8 @@ class JointView(RigView):
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
         parts = [part for part in joint.parts if "." not in part] if scales.mass else []
-        common = ACTUATOR if self._actuator is not None and self._actuator.others else ()
+        names = [effect.name.rpartition(".")[2] for effect in own]
+        common = [name for name in names if of_actuator(name)] if self._actuator and self._actuator.others else []
         self.shared = self.shared.union(common)
         self.together, self.whole = part_effects(stage.name, parts), self.whole.union(common, (MASS + p for p in parts))
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
@@ -136,6 +149,7 @@ class JointView(RigView):
         self._seen, swing = self.measured[:, 0].copy(), within_windows(self._motions, self._edges)
         self._noise = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
         self._samples = samples_averaged(self._noise / swing, scales.period_s, scales.step_s)
+        self._own_floor = float(self._noise / np.sqrt(self._samples))
         self._simulation = self._simulated(self._edges)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
@@ -154,6 +168,7 @@ class JointView(RigView):
             self._mechanism.stepping,
             self._motions,
             self._inputs,
+            self._shares,
             self._along,
             self._each,
         )
@@ -219,11 +234,6 @@ class JointView(RigView):
         shared = averaged(self._others.shared_noise[None], slices(self.trial), self._samples)[0]
         return np.sqrt([max(own**2 + felt**2 + 2 * np.nanmean(noise * shared), UNCANCELLED * own**2)])
 
-    @property
-    def _own_floor(self) -> float:
-        """Noise floor by the joint's own readings."""
-        return float(self._noise / np.sqrt(self._samples))
-
     def _feels_steps(self) -> bool:
         """Return whether the steps of a simulation with the model would move the joint by more than noise."""
         other, usual = self._raw_gaps([{f"{self.stage}.{STEPPED}": 1.0}, {}])
@@ -231,8 +241,8 @@ class JointView(RigView):
 
     def part(self, effect: str) -> str:
         """Return the part of the mechanism that has an effect of the whole."""
-        if effect in ACTUATOR and self._actuator is not None:
-            return f"actuator {self._actuator.name}"
+        if of_actuator(effect) and self._actuator is not None:
+            return f"actuator {effect.removeprefix(GAIN_OF) if effect.startswith(GAIN_OF) else self._actuator.name}"
         return effect.removeprefix(MASS) if effect.startswith(MASS) else self._end if effect == "payload" else "base"
 
     def _unstable_s(self) -> float:
@@ -344,6 +354,7 @@ class JointView(RigView):
             joint=joint,
             driven=actuator is not None,
             follows=actuator is not None and actuator.kp > 0,
+            actuators=tuple(self._shares),
             torque=float(np.quantile(np.abs(needed), 0.995)) + floor,
             usual=float(np.mean(np.abs(needed))) + floor,
             lost=lost(actuator, self._sent, found, needed),
@@ -397,6 +408,7 @@ class JointView(RigView):
             "length.scale": OF_LENGTH,
             "gain.scale": OF_OWN,
             "position_gain.scale": OF_OWN,
+            **{f"{GAIN_OF}{name}.scale": OF_OWN for name in self._shares},
         }
         if self._inputs:
             own["dead_time.delay"] = HELD_LATE * usual_step(self._inputs)

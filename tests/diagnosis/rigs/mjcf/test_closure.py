@@ -174,7 +174,8 @@ def test_actuators_are_refused_at_the_joints_that_they_move_alone(tmp_path):
     assert "give its torque under `torque`, as wrist" in wrist.problem
     assert not model.joint("left").problem
     motor = '<motor name="turn" joint="wrist"/>'
-    file.write_text(GRIPPER.replace("</actuator>", f"{motor}{motor.replace('turn', 'help')}</actuator>"))
+    servo = '<position name="help" joint="wrist" kp="5"/>'
+    file.write_text(GRIPPER.replace("</actuator>", f"{motor}{servo}</actuator>"))
     assert "joint wrist has 2 actuators (turn, help)" in Mechanism(file).joint("wrist").problem
 
 
