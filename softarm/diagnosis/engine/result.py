@@ -78,9 +78,8 @@ class Film:
 
     trial: str
     t_s: Array  # [F]
-    lines: Mapping[
-        str, Array
-    ]  # measured, nominal and, with named effects, patched -> ends of the links, m [F, L, 2, 3]
+    # Measured, nominal and, with named effects, patched -> both ends of each link, [F, L, 2, 3], m.
+    lines: Mapping[str, Array]
     factor: float  # by which deviations from the measured motion are enlarged
 
 

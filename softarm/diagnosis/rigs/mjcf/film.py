@@ -30,7 +30,7 @@ def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
     if diagnosis.verdict.where.stage is None or not diagnosis.overlays:
         return None
     shown = diagnosis.overlays[worst(diagnosis)]
-    (trial,) = (t for t in trials if stage_of([t]).name == shown.stage and _is_of(shown, t))
+    trial = next(t for t in trials if stage_of([t]).name == shown.stage and _is_of(shown, t))
     start, end = window(shown) or (float(shown.t_s[0]), float(shown.t_s[-1]))
     t_s = np.arange(start, end, 1 / FRAMES_PER_S)
     model = mechanism(Path(str(stage_of([trial]).model["mjcf"])), *drive.columns([trial]))

@@ -96,7 +96,7 @@ class RuntimeEffects:
 
         Raises:
             TrialError: the model cannot be read, lacks a joint of the verdict, or has a loop over several joints with
-                an effect that acts on its error.
+                an effect that acts on its error, or several actuators at a joint with a delay.
         """
         found, intervals = Verdict.model_validate_json(verdict.read_bytes()), {}
         robot = mechanism(model, found.where.share)
@@ -246,7 +246,10 @@ def _refuse_common(joint: Joint, field: str, path: str) -> None:
         others = ", ".join(actuator.others)
         why = f"{actuator.name} moves {joint.name} and {others}, and this effect acts on one joint"
     if why:
-        raise TrialError(f"{path}: {why} at run time; apply it to the command of the actuator yourself")
+        raise TrialError(
+            f"{path}: {why} at run time; apply it to the command of the actuator yourself. A calibration that does not "
+            "matter is left out with calibration=False"
+        )
 
 
 def _pushed(last: Any, newest: Any, xp: Any) -> Any:
