@@ -11,8 +11,9 @@ from softarm.diagnosis.rigs.scales import ORDERS, white_noise
 
 # Noise as a share of a joint's travel in a window from which samples are averaged, and the averages per period.
 NOISY, AVERAGES = 0.01, 20
-# Correlation between the noise of two readings below which they count as independent.
-CORRELATED = 0.3
+# Correlation between the noise of two readings below which they count as independent, and the same times the root of
+# the number of samples: four standard deviations by chance, of differences of sixth order.
+CORRELATED, CHANCE = 0.3, 7.1
 # Largest relative difference between estimates from two orders of differences, of white noise; and a difference in its
 # medians that counts no further.
 WHITE, OUTLYING = 0.15, 4.0
@@ -47,41 +48,45 @@ def averaged(values: Array, trials: Sequence[slice], samples: int) -> Array:
     return found
 
 
-def drawn(others: Sequence[Array], own: Array, random: np.random.Generator) -> tuple[Array, Array]:
-    """Return noise like that of other joints' readings, and the part of a joint's own noise that comes with it.
+def correlations(trials: Sequence[Sequence[Array]]) -> Array:
+    """Return the correlation of the white noise of each two of C readings, [C, C]; small ones are 0.
 
     Angles from the same tracked points share their noise: a point that is off bends the joint before it one way and
-    the joint behind it the other way.
+    the joint behind it the other way. Smooth motion vanishes in differences of high order. What has not vanished
+    shrinks from one order to the next.
 
     Args:
-        others: readings of C other joints in one trial, [T] each.
-        own: readings of the joint, [T].
+        trials: the readings of each trial, [C, T].
+    """
+    lower, higher = (
+        np.concatenate([np.diff(each, order, axis=1) for each in trials], axis=1)
+        / math.sqrt(math.comb(2 * order, order))
+        for order in ORDERS[-2:]
+    )
+    sizes = [np.maximum(np.median(np.abs(each), axis=1), 1e-12) for each in (lower, higher)]
+    white = np.abs(sizes[1] / sizes[0] - 1) < WHITE
+    usual = np.clip(higher / sizes[1][:, None], -OUTLYING, OUTLYING)
+    size, count = np.maximum(np.sqrt(np.mean(usual**2, axis=1)), 1e-12), usual.shape[1]
+    found = usual @ usual.T / count / np.outer(size, size)
+    found[(np.abs(found) < max(CORRELATED, CHANCE / math.sqrt(count))) | ~np.outer(white, white)] = 0.0
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(found)
+
+
+def drawn(readings: Sequence[Array], shared: Array, random: np.random.Generator) -> tuple[Array, Array]:
+    """Return noise like that of other joints' readings, and the part of a joint's own noise that comes with it.
+
+    Args:
+        readings: readings of C other joints and of the joint in one trial, [T] each.
+        shared: correlations of their noise, [C + 1, C + 1].
         random: generator of the noise.
 
     Returns:
         Noise of the other joints [C, T], and the own part [T], which is 0 for independent readings.
     """
-    readings = [*others, own]
-    sizes, correlations = np.array([white_noise([x]) for x in readings]), _correlations(readings)
-    among, between = correlations[:-1, :-1], correlations[-1, :-1]
+    sizes, among, between = np.array([white_noise([x]) for x in readings]), shared[:-1, :-1], shared[-1, :-1]
     values, axes = np.linalg.eigh(among)
     root = axes * np.sqrt(np.maximum(values, 0.0)) @ axes.T
-    units = root @ random.normal(size=(len(others), len(own)))
-    shared = sizes[-1] * between @ np.linalg.pinv(among, SINGULAR, hermitian=True) @ units
-    return sizes[:-1, None] * units, np.asarray(shared)
-
-
-def _correlations(readings: Sequence[Array]) -> Array:
-    """Return the correlation of the white noise of each two readings, [C, C]; small ones are 0.
-
-    Smooth motion vanishes in differences of high order. What has not vanished shrinks from one order to the next.
-    """
-    lower, higher = (np.diff(readings, order, axis=1) / math.sqrt(math.comb(2 * order, order)) for order in ORDERS[-2:])
-    sizes = [np.maximum(np.median(np.abs(each), axis=1), 1e-12) for each in (lower, higher)]
-    white = np.abs(sizes[1] / sizes[0] - 1) < WHITE
-    usual = np.clip(higher / sizes[1][:, None], -OUTLYING, OUTLYING)
-    size = np.maximum(np.sqrt(np.mean(usual**2, axis=1)), 1e-12)
-    found = usual @ usual.T / usual.shape[1] / np.outer(size, size)
-    found[(np.abs(found) < CORRELATED) | ~np.outer(white, white)] = 0.0
-    np.fill_diagonal(found, 1.0)
-    return np.asarray(found)
+    units = root @ random.normal(size=(len(among), len(readings[-1])))
+    own = sizes[-1] * between @ np.linalg.pinv(among, SINGULAR, hermitian=True) @ units
+    return sizes[:-1, None] * units, np.asarray(own)

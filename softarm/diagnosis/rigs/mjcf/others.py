@@ -11,7 +11,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
-from softarm.diagnosis.rigs.mjcf.noise import drawn
+from softarm.diagnosis.rigs.mjcf.noise import correlations, drawn
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 
 # Column -> position, speed and acceleration, [T] each.
@@ -82,11 +82,14 @@ class OtherJoints:
     @cached_property
     def _noise(self) -> list[tuple[Array, Array]]:
         """Noise of the other columns in each trial, [C, T], and the part of the joint's own that comes with it, [T]."""
-        random, found = np.random.default_rng(0), []
+        random, alike = np.random.default_rng(0), dict[tuple[str, ...], list[list[Array]]]()
+        readings = []
         for around, m in zip(self.around, self._own, strict=True):
             own = np.where(np.isfinite(m.seen), m.seen, m.position)
-            found.append(drawn([x for x, _, _ in around.values()], own, random))
-        return found
+            readings.append([*(x for x, _, _ in around.values()), own])
+            alike.setdefault(tuple(around), []).append(readings[-1])
+        shared = {columns: correlations(trials) for columns, trials in alike.items()}
+        return [drawn(x, shared[tuple(around)], random) for x, around in zip(readings, self.around, strict=True)]
 
     def _terms(self, courses: Sequence[Course], change: Change) -> Array:
         return np.concatenate([self._mechanism.terms(self._joint, course, change) for course in courses], axis=1)

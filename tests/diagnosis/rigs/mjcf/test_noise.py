@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
-from softarm.diagnosis.rigs.mjcf.noise import averaged, drawn, samples_averaged
+from softarm.diagnosis.rigs.mjcf.noise import averaged, correlations, drawn, samples_averaged
 from softarm.diagnosis.rigs.stage import view_of
 from softarm.simulator import mjcf, model_file
 
@@ -46,7 +46,7 @@ def test_noise_that_readings_share_is_drawn_together():
     links = 0.01 * random.normal(size=(3, 4000))
     smooth = np.sin(0.01 * np.arange(4000))
     other, own = smooth + links[1] - links[0], smooth + links[2] - links[1]
-    ((noise,), shared) = drawn([other], own, random)
+    ((noise,), shared) = drawn([other, own], correlations([[other, own]]), random)
     assert noise.std() == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
     assert shared.std() == pytest.approx(0.5 * 0.01 * np.sqrt(2), rel=0.15)
     assert np.corrcoef(noise, shared)[0, 1] == pytest.approx(-1.0)
@@ -54,17 +54,23 @@ def test_noise_that_readings_share_is_drawn_together():
 
 def test_independent_readings_share_no_noise():
     random = np.random.default_rng(5)
-    other, own = 0.01 * random.normal(size=(2, 4000))
-    (_, shared) = drawn([other], own, random)
+    readings = 0.01 * random.normal(size=(2, 4000))
+    (_, shared) = drawn(readings, correlations([readings]), random)
     assert not shared.any()
+
+
+def test_chance_in_short_stretches_is_no_correlation():
+    """Of six readings with 150 samples, half have a correlation above 0.3 by chance."""
+    random = np.random.default_rng(5)
+    for _ in range(40):
+        assert np.array_equal(correlations([random.normal(size=(6, 150))]), np.eye(6))
 
 
 def test_motion_that_is_fast_beside_the_samples_is_no_noise():
     """Both joints swing at 3 Hz with fine encoders and 20 samples a second."""
     random, t = np.random.default_rng(5), np.arange(2000) / 20
-    other, own = np.sin(6 * np.pi * t + 0.3 * np.sin(t)) + 1e-6 * random.normal(size=(2, 2000))
-    (_, shared) = drawn([other], own, random)
-    assert not shared.any()
+    readings = np.sin(6 * np.pi * t + 0.3 * np.sin(t)) + 1e-6 * random.normal(size=(2, 2000))
+    assert np.array_equal(correlations([readings]), np.eye(2))
 
 
 def tracked_arm(folder, noise_m, gain=1.0, trials=2, seconds=10.0):
