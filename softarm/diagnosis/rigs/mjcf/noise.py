@@ -17,6 +17,8 @@ CORRELATED, CHANCE = 0.3, 7.1
 # Largest relative difference between estimates from two orders of differences, of white noise; and a difference in its
 # medians that counts no further.
 WHITE, OUTLYING = 0.15, 4.0
+# Share of a joint's own noise that remains at least where that of the other joints cancels it.
+UNCANCELLED = 0.5
 # Share of the largest eigenvalue below which correlations count as singular.
 SINGULAR = 1e-3
 
@@ -24,10 +26,11 @@ SINGULAR = 1e-3
 def samples_averaged(noise_share: float, period_s: float, step_s: float) -> int:
     """Return over how many samples a gap is averaged: 1 for usual encoders, more for noisy motion capture.
 
-    The mean of n samples has the noise of one over the root of n. Its time stays short beside the period of the motion.
+    The mean of n samples has the white noise of one over the root of n; rounding by a coarse encoder does not shrink.
+    The time of an average stays short beside the period of the motion.
 
     Args:
-        noise_share: RMS of the noise over that of the motion.
+        noise_share: RMS of the white noise over that of the motion.
         period_s: period of the usual motion.
         step_s: sampling interval.
     """
@@ -46,6 +49,12 @@ def averaged(values: Array, trials: Sequence[slice], samples: int) -> Array:
         share = uniform_filter1d(kept.astype(float), samples, axis=1, mode="constant")
         np.divide(total, share, out=found[:, part], where=kept)
     return found
+
+
+def combined(own: float, felt: float, covariance: float) -> float:
+    """Return the RMS of a joint's own noise with that which it feels from the other joints, and which may cancel it."""
+    apart = float(np.hypot(own, felt))
+    return max(apart * math.sqrt(max(1 + 2 * covariance / apart**2, 0.0)), UNCANCELLED * own)
 
 
 def correlations(trials: Sequence[Sequence[Array]]) -> Array:

@@ -30,7 +30,7 @@ from softarm.diagnosis.rigs.mjcf.effects import (
 )
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
-from softarm.diagnosis.rigs.mjcf.noise import averaged, samples_averaged
+from softarm.diagnosis.rigs.mjcf.noise import averaged, combined, samples_averaged
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
@@ -63,8 +63,6 @@ RATE_HZ = 500.0
 # Share of a load below which a mass has no effect, and of the floor below which other joints' noise or a simulation's
 # steps do not count.
 FELT, FELT_NOISE = 1e-4, 0.35
-# Share of a joint's own squared noise that remains at least where that of the other joints cancels it.
-UNCANCELLED = 0.25
 # Longest integration step, s, and the same in inverse frequencies of a position loop; most steps per sample.
 STEP_S, STEP_SHARE, SUBSTEPS_MOST = 1e-3, 0.2, 64
 # Share of the samples that may be left out because other joints move too fast between samples, and that is reported.
@@ -147,9 +145,9 @@ class JointView(RigView):
         t_s = [m.grid.t_s for m in self._motions]
         super().__init__(stage.name, scales.length, (joint.name,), own, t_s, [s[:, None] for s in seen], step, signals)
         self._seen, swing = self.measured[:, 0].copy(), within_windows(self._motions, self._edges)
-        self._noise = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), white_noise(seen), 1e-12))
-        self._samples = samples_averaged(self._noise / swing, scales.period_s, scales.step_s)
-        self._own_floor = float(self._noise / np.sqrt(self._samples))
+        least, white = float(max(FLOOR_SHARE * swing, step / np.sqrt(12), 1e-12)), white_noise(seen)
+        self._samples = samples_averaged(white / swing, scales.period_s, scales.step_s)
+        self._noise, self._own_floor = max(least, white), max(least, white / float(np.sqrt(self._samples)))
         self._simulation = self._simulated(self._edges)
         self._free = np.isfinite(self.measured[:, 0])
         self._unsure = np.zeros_like(self._free)
@@ -221,18 +219,22 @@ class JointView(RigView):
         if large.any():
             large &= np.abs(smooth) > SIGMAS * rms(moved(noisy=True, smooth=True) - noise - smooth)
             self._leave_out(large)
-            self.floor = self._raised_floor(np.where(np.isfinite(self.measured[:, 0]), noise, np.nan))
+            self.floor = self._raised_floor(noise, np.isfinite(self.measured[:, 0]))
 
-    def _raised_floor(self, noise: Array) -> Array:
-        """Return the noise floor, [1]; noise: change of the gap with noise of the other joints, which the gap has, [M].
+    def _raised_floor(self, noise: Array, kept: NDArray[np.bool_] | slice = slice(None)) -> Array:
+        """Return the noise floor, [1].
 
-        Noise that the joint's own readings share with it may cancel.
+        Noise that the joint's own readings share with that of the others may cancel.
+
+        Args:
+            noise: change of the gap with noise of the other joints, which the gap has, [M].
+            kept: samples that count, by default all.
         """
-        own, felt = self._own_floor, min(rms(noise), rms(self._raw_gaps([{}])))
+        own, felt = self._own_floor, min(rms(noise[kept]), rms(self._raw_gaps([{}])))
         if felt <= FELT_NOISE * own:
             return np.array([own])
         shared = averaged(self._others.shared_noise[None], slices(self.trial), self._samples)[0]
-        return np.sqrt([max(own**2 + felt**2 + 2 * np.nanmean(noise * shared), UNCANCELLED * own**2)])
+        return np.array([combined(own, felt, float(np.nanmean((noise * shared)[kept])))])
 
     def _feels_steps(self) -> bool:
         """Return whether the steps of a simulation with the model would move the joint by more than noise."""
