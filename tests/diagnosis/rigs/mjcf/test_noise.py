@@ -119,6 +119,31 @@ def test_the_floor_of_a_tracked_joint_holds_the_noise_that_its_angle_shares(tmp_
     assert 0.75 * left < view.floor[0] < 1.3 * left
 
 
+PENDULUM = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
+<inertial pos="0 0 -0.2" mass="1" diaginertia="0.002 0.002 0.002"/></body></worldbody>
+<actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
+
+
+def test_averages_do_not_remove_the_rounding_of_a_coarse_encoder(tmp_path):
+    """Its step is a tenth of the motion, which lasts for many samples on one step."""
+    (tmp_path / "pendulum.xml").write_text(PENDULUM)
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    data, rows, step = mujoco.MjData(model), [], 0.02
+    for k in range(1500):
+        data.ctrl[0] = 0.3 * np.sin(0.02 * k) + 0.2 * np.sin(0.035 * k)
+        rows.append((0.01 * k, data.ctrl[0], step * np.round(data.qpos[0] / step)))
+        mujoco.mj_step(model, data, nstep=10)
+    np.savetxt(tmp_path / "run-0.csv", rows, "%.6f", ",", header="t,motor,hinge", comments="")
+    (tmp_path / "stage.yaml").write_text(
+        "kind: mujoco\nchannels:\n"
+        "  measured: {time: {source: t, unit: s}, columns: {hinge: {source: hinge, unit: rad}}}\n"
+        "  command: {time: {source: t, unit: s}, columns: {motor: {source: motor, unit: N m}}}\n"
+        "model: {mjcf: pendulum.xml}\ntrials: [{files: run-*.csv}]\n"
+    )
+    view, _ = view_of(tables.read(tmp_path / "stage.yaml"))
+    assert view.floor[0] > 0.9 * step / np.sqrt(12)
+
+
 @pytest.mark.prove
 def test_a_weak_muscle_shows_through_a_tenth_of_a_millimetre_of_noise(tmp_path):
     verdict = diagnose_table(tracked_arm(tmp_path, 1e-4, gain=0.85)).verdict
