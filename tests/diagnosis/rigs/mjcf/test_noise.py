@@ -60,7 +60,7 @@ def test_independent_readings_share_no_noise():
 
 
 def test_chance_in_short_stretches_is_no_correlation():
-    """Of six readings with 150 samples, half have a correlation above 0.3 by chance."""
+    """Every second set of six readings with 150 samples has a correlation above 0.3 by chance."""
     random = np.random.default_rng(5)
     for _ in range(40):
         assert np.array_equal(correlations([random.normal(size=(6, 150))]), np.eye(6))
@@ -125,7 +125,7 @@ PENDULUM = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hi
 
 
 def test_averages_do_not_remove_the_rounding_of_a_coarse_encoder(tmp_path):
-    """Its step is a tenth of the motion, which lasts for many samples on one step."""
+    """The step is a tenth of the motion, and many samples rest on it."""
     (tmp_path / "pendulum.xml").write_text(PENDULUM)
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data, rows, step = mujoco.MjData(model), [], 0.02
