@@ -114,7 +114,7 @@ def _sent(draft: Draft, joint: ModelJoint, commands: Sequence[Signal]) -> dict[s
     Of several actuators a column has the name.
     """
     if joint.shares:
-        named = {name: [s for s in draft.moving if _plain(s.header.name) == _plain(name)] for name in joint.shares}
+        named = {name: [s for s in commands if _plain(s.header.name) == _plain(name)] for name in joint.shares}
         found = {name: _use(draft, of[0], joint.shares[name], math.inf) for name, of in named.items() if of}
         return found if len(found) == len(named) else {}
     command = _first(draft, commands, _no_commands(joint))
@@ -132,7 +132,7 @@ def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
 
 def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
     """Return the columns of a model's recordings, whose names may end like a unit: `fl_kn` is no force in kN."""
-    names = {_plain(name) for joint in joints for name in (joint.name, joint.actuator, *joint.shares)} - {""}
+    names = {name for joint in joints for name in _names(joint)}
 
     def read(signal: Signal) -> Signal:
         source, header = str(signal.source), signal.header
@@ -146,7 +146,7 @@ def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
 def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Collection[str]) -> dict[str, Signal]:
     """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw."""
     known = {_plain(name): name for name in sorted(places, key=len)}
-    others = {_plain(name) for joint in joints for name in (joint.name, joint.actuator, *joint.shares)}
+    others = {name for joint in joints for name in _names(joint)}
     found = dict[str, Signal]()
     for signal in draft.moving:
         header = _plain(signal.header.name)
@@ -201,15 +201,20 @@ def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured:
 
 
 def _is_command(signal: Signal, joint: ModelJoint) -> bool:
-    """Return whether a column has the name of a joint's actuator, which is not the joint's own."""
-    return _plain(signal.header.name) == _plain(joint.actuator) != _plain(joint.name)
+    """Return whether a column has the name of an actuator of a joint, which is not the joint's own."""
+    return _plain(signal.header.name) in _names(joint) - {_plain(joint.name)}
+
+
+def _names(joint: ModelJoint) -> set[str]:
+    """Return the names of a joint and its actuators, in letters and digits."""
+    return {_plain(name) for name in (joint.name, joint.actuator, *joint.shares)} - {""}
 
 
 def _owners(signal: Signal, joints: Sequence[ModelJoint]) -> list[ModelJoint]:
     """Return the joints whose name, or whose actuator's name, a column's header contains; the longest name wins."""
     header, found = _plain(signal.header.name), dict[int, list[ModelJoint]]()
     for joint in joints:
-        for own in {_plain(joint.actuator), _plain(joint.name)} - {""}:
+        for own in _names(joint):
             if own in header:
                 found.setdefault(len(own), []).append(joint)
     return found[max(found)] if found else []

@@ -147,6 +147,25 @@ def test_a_description_has_the_commands_of_both(tmp_path):
     assert channels["measured"]["columns"].keys() == {*JOINTS}
 
 
+def test_the_command_of_one_is_no_reading_of_its_joint(tmp_path):
+    """The names of the motors hold that of the joint, and are shorter than the name of its readings."""
+    names = {"left": "far_l", "right": "far_r"}
+    text = segment()
+    for old, new in names.items():
+        text = text.replace(f'name="{old}"', f'name="{new}"').replace(f'tendon="{old}"', f'tendon="{new}"')
+    recorded(tmp_path, model=text)
+    run = tmp_path / "run-0.csv"
+    run.write_text(run.read_text().replace("t,left,right,near,far", "t,far_l,far_r,near_position,far_position"))
+    out = tmp_path / "new.yaml"
+    data = [str(tmp_path / name) for name in ("segment.xml", "run-0.csv")]
+    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    channels = yaml.safe_load(out.read_text())["channels"]
+    sources = {name: use["source"] for name, use in channels["measured"]["columns"].items()}
+    assert sources == {"near": "near_position", "far": "far_position"}
+    assert channels["command"]["columns"].keys() == {*names.values()}
+
+
 def test_the_patch_holds_the_gain_of_one_and_the_lag_of_both(tmp_path):
     (tmp_path / "segment.xml").write_text(segment())
     found = with_parameters([("far.gain_left.scale", -0.25, "-"), ("far.lag.time", 80.0, "ms")])
