@@ -10,7 +10,7 @@ from softarm.reporting.numbers import number
 
 _WIDTH, _HEIGHT, _MARGIN = 460.0, 300.0, 16.0
 _SLOWER = 2.0  # than the motion
-FLAT = 0.05  # height of a motion as a share of its width, up to which it is drawn from above
+_FLAT = 0.05  # height of a motion as a share of its width, up to which it is drawn from above
 
 
 def drawing(film: Film) -> Html:
@@ -39,7 +39,7 @@ def _projected(film: Film) -> dict[str, Array]:
     _, _, across = np.linalg.svd(apart[:, :2], full_matrices=False)
     wide, deep, up = np.array([*across[0], 0.0]), np.array([*across[1], 0.0]), np.array([0.0, 0.0, 1.0])
     wide *= np.sign(wide[np.argmax(np.abs(wide))])
-    axes = np.stack((wide, up if np.ptp(every @ up) > FLAT * np.ptp(every @ wide) else deep))
+    axes = np.stack((wide, up if np.ptp(every @ up) > _FLAT * np.ptp(every @ wide) else deep))
     flat = every @ axes.T
     low, size = flat.min(axis=0), np.maximum(np.ptp(flat, axis=0), 1e-9)
     scale = float(min((np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN) / size))

@@ -11,6 +11,7 @@ from softarm.diagnosis.engine.result import Diagnosis, Film, Overlay
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf import drive
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism, mechanism
+from softarm.diagnosis.rigs.mjcf.others import continuous
 
 FRAMES_PER_S = 20.0
 # Factors by which deviations may be enlarged, and the largest drawn deviation as a share of the mechanism's extent.
@@ -63,9 +64,7 @@ def _recording(trial: str, stage: str) -> str:
 def _measured(model: Mechanism, trial: Trial, t_s: Array) -> dict[str, Array]:
     """Return the measured positions and poses at some times, by column."""
     found = {}
-    for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
-        for pose in model.poses:
-            series = pose.continuous(series, trial.source)
+    for series in continuous(model, trial):
         for name, values in series.columns.items():
             known = np.isfinite(values)
             found[name] = np.interp(t_s, series.t_s[known], values[known])

@@ -1,12 +1,12 @@
 """Measured motion of the other joints of a mechanism, which loads a joint."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 
 import numpy as np
 
-from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.laws import joint as laws
@@ -102,11 +102,17 @@ class OtherJoints:
         return found
 
 
-def _measured(mechanism: Mechanism, joint: Joint, trial: Trial, grid: Grid) -> Around:
-    found, poses = {}, {name for pose in mechanism.poses for name in pose.columns}
+def continuous(mechanism: Mechanism, trial: Trial) -> Iterator[Series]:
+    """Yield the measured channels of a trial, with quaternions that do not change their sign between two rows."""
     for series in (trial.channels[name] for name in ("measured", "base") if name in trial.channels):
         for pose in mechanism.poses:
             series = pose.continuous(series, trial.source)
+        yield series
+
+
+def _measured(mechanism: Mechanism, joint: Joint, trial: Trial, grid: Grid) -> Around:
+    found, poses = {}, {name for pose in mechanism.poses for name in pose.columns}
+    for series in continuous(mechanism, trial):
         for name in series.columns:
             if name in poses:
                 found[name] = smoothed(series, name, grid)

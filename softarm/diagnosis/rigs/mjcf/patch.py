@@ -166,13 +166,13 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
 def _written_to_shares(edits: "_Edits", joint: Joint, parameter: str, value: float) -> bool:
     """Write a parameter of several actuators of a joint: the gain of one of them, or the lag of all."""
     assert joint.actuator is not None
-    effect, _, name = parameter.partition(".")
-    own = f"{effect[: len(GAIN_OF) - 1]}.{name}" if effect.startswith(GAIN_OF) else parameter
-    shares = joint.actuator.shares
-    written = shares if own == parameter else {effect.removeprefix(GAIN_OF)}
-    found = {f"{joint.name}.{own}": value}
-    done = [_written(edits, replace(joint, actuator=shares[each]), own, value, found) for each in written]
-    return all(done)
+    effect, written = parameter.partition(".")[0], joint.actuator.shares
+    if effect.startswith(GAIN_OF):
+        written = {name: each for name, each in written.items() if effect == GAIN_OF + name}
+        parameter = "gain.scale"
+    found = {f"{joint.name}.{parameter}": value}
+    done = [_written(edits, replace(joint, actuator=each), parameter, value, found) for each in written.values()]
+    return bool(done) and all(done)
 
 
 def _limited(low: float, high: float, gear: float) -> dict[str, str]:

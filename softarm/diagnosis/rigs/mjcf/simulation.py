@@ -78,6 +78,7 @@ class JointSimulation:
         self._slopes, self._steps = slopes, steps
         self._along = tuple(map(self._stepped, zip(*along, strict=True))) if along else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
+        self._gains = [(f"{GAIN_OF}{name}.scale", name) for name in shares]
         kept = lru_cache(KEPT)
         self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
 
@@ -170,10 +171,10 @@ class JointSimulation:
         factor = 1 + at.get("gain.scale", 0.0)
         stiff = factor * (1 + at.get("position_gain.scale", 0.0))
         rate, bias = at.get("rate_limit.rate", np.inf), at.get("command_bias.bias", 0.0)
-        lag_s, names = at.get("lag.time", 0.0), [*self._inputs][1:]
+        lag_s = at.get("lag.time", 0.0)
         drive = self._drives(delay_s, lag_s, rate, bias, factor, stiff)
-        gains = {name: gain for name in names if (gain := at.get(f"{GAIN_OF}{name}.scale", 0.0))}
-        return np.asarray(drive + sum(x * self._followed(name, delay_s, lag_s, rate) for name, x in gains.items()))
+        gains = [(name, at[path]) for path, name in self._gains if at.get(path)]
+        return np.asarray(drive + sum(gain * self._followed(name, delay_s, lag_s, rate) for name, gain in gains))
 
     def _driven(self, delay_s: float, lag_s: float, rate: float, bias: float, factor: float, stiff: float) -> Array:
         actuator = self._actuator
