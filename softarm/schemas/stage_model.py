@@ -40,7 +40,7 @@ class Channel:
     others: tuple[str, ...] = ()
     optional: bool = False  # the whole channel
     named_after: str = ""  # columns may have any name: those of the model's joints, actuators, sites or bodies
-    instead_of: str = ""  # the other channel that it replaces
+    instead_of: str = ""  # the other channel, which need not be given beside it
 
     def needed(self, links: int) -> tuple[str, ...]:
         """Return the names of which at least one column is required."""

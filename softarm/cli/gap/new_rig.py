@@ -89,7 +89,6 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     from softarm.diagnosis.describe import stage_text
     from softarm.diagnosis.describe.proposal import Answers, propose
     from softarm.diagnosis.describe.survey import survey
-    from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 
     leaves(NOTHING)
     _may_be_written(out, overwrite)
@@ -103,7 +102,7 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     _show(found)
     if models:
         where, leaders = os.path.relpath(models[0].resolve(), out.parent.resolve()), partial(_leaders, models[0])
-        known = joints, where, leaders, mjcf.places(mechanism(models[0]).model)
+        known = joints, where, leaders, mjcf.places(*mjcf.load(models[0]))
         proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, *known))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))

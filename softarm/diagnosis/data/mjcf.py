@@ -1,18 +1,38 @@
 """Loading of MJCF and URDF files."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from softarm.common import files
+from softarm.diagnosis.data.poses import pose_joints
 from softarm.diagnosis.data.trials import TrialError
 
 INSTALL = "needs MuJoCo; install it with: pip install 'softarm[mujoco]'"
 
 
-def places(model: Any) -> tuple[str, ...]:
-    """Return the names of a model's sites and bodies."""
-    named = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
-    return tuple(filter(None, named))
+def places(mujoco: Any, model: Any) -> dict[str, tuple[str, ...]]:
+    """Return the sites and bodies of a model that have a name, with the columns of all joints that move them."""
+    columns = columns_of_joints(mujoco, model)
+    found = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
+    for i in range(1, model.nbody):
+        found.setdefault(model.body(i).name, i)
+    movers = {name: carriers(model, body) for name, body in found.items() if name}
+    return {name: tuple(column for joint in of for column in columns[joint]) for name, of in movers.items()}
+
+
+def carriers(model: Any, body: int) -> Iterator[int]:
+    """Yield the numbers of the joints that move a body."""
+    while body:
+        first = int(model.body_jntadr[body])
+        yield from range(first, first + int(model.body_jntnum[body]))
+        body = int(model.body_parentid[body])
+
+
+def columns_of_joints(mujoco: Any, model: Any) -> dict[int, tuple[str, ...]]:
+    """Return the columns of each joint by its number, in the order of qpos."""
+    poses = pose_joints(mujoco, model)
+    return {j: poses[j].columns if j in poses else (str(model.joint(j).name),) for j in range(model.njnt)}
 
 
 def load(path: Path) -> tuple[Any, Any]:

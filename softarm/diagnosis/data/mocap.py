@@ -1,10 +1,13 @@
 """Positions of a MuJoCo model's joints from motion capture of its sites and bodies."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from softarm.diagnosis.data.checks import GAP_FACTOR, GAP_MIN_S
 from softarm.diagnosis.data.skeleton import Skeleton
 from softarm.diagnosis.data.stage_file import Stage
 from softarm.diagnosis.data.trials import Series, TrialError
@@ -25,37 +28,42 @@ def skeleton_of(stage: Stage, base: Path) -> Skeleton | None:
     channels = stage.about.channels
     if "mocap" not in channels:
         return None
-    moved = channels["base"].columns if "base" in channels else ()
-    return Skeleton(stage.file(str(stage.about.model["mjcf"]), base), channels["mocap"].columns, moved)
+    known = [name for channel in ("measured", "base") if channel in channels for name in channels[channel].columns]
+    return Skeleton(stage.file(str(stage.about.model["mjcf"]), base), channels["mocap"].columns, known)
 
 
 def with_joints(stage: Stage, skeleton: Skeleton | None) -> Stage:
-    """Return a stage with measured joints instead of tracked points, if it has any."""
+    """Return a stage whose measured joints include those that its tracked points determine, if it has any."""
     if skeleton is None:
         return stage
     about = stage.about
-    others = {name: channel for name, channel in about.channels.items() if name != "mocap"}
+    channels = {name: channel for name, channel in about.channels.items() if name != "mocap"}
     units = zip(skeleton.joints, skeleton.units, strict=True)
     joints = {name: Column(source="mocap", unit=unit) for name, unit in units}
-    measured = TableChannel(time=about.channels["mocap"].time, columns=joints)
-    return replace(stage, about=about.model_copy(update={"channels": {"measured": measured, **others}}))
+    encoders = channels.pop("measured").columns if "measured" in channels else {}
+    measured = TableChannel(time=about.channels["mocap"].time, columns={**joints, **encoders})
+    return replace(stage, about=about.model_copy(update={"channels": {"measured": measured, **channels}}))
 
 
-def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Path) -> tuple[Series, list[str]]:
+def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where: Path) -> tuple[Series, list[str]]:
     """Return the positions of a skeleton's joints with the stamps of motion capture, and warnings.
 
-    Rows near a pose in which the tracked points hardly show a joint's motion are left out, and a few that fit no pose.
+    Left out are rows near a pose in which the tracked points hardly show a joint's motion, rows in a gap of the other
+    readings, and a few rows that fit no pose.
 
     Args:
         skeleton: joints and tracked points.
         mocap: tracked coordinates in the model's frame, m, and quaternions.
-        base: positions of joints that are moved from outside, or None.
+        known: positions of other joints, and poses.
         where: file, for messages.
 
     Raises:
         TrialError: the points do not fit the model, fit several poses, or do not determine a joint.
     """
-    seen, qpos, most_m = skeleton.tracked(mocap, where), skeleton.around(mocap, base, where), MISFIT * skeleton.reach_m
+    for series in known:
+        mocap = _beside(series, mocap, where)
+    seen, qpos = skeleton.tracked(mocap, where), skeleton.around(mocap.t_s, known, where)
+    most_m = MISFIT * skeleton.reach_m
     looked = [(skeleton.poses(seen, qpos, int(row)), int(row)) for row in np.linspace(0, len(mocap) - 1, ROWS)]
     poses, clear = max(looked, key=lambda each: (each[0].errors_m[0] < most_m, each[0].shown[0]))
     best = poses.positions[0]
@@ -87,3 +95,25 @@ def positions(skeleton: Skeleton, mocap: Series, base: Series | None, where: Pat
         )
     keep = ~lost & (found.shown > NEARLY * np.median(found.shown))
     return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True))), warnings
+
+
+def joined(tracked: Series, encoders: Series, where: Path) -> Series:
+    """Return the joints of both series with the stamps of the slower one, between which the other is interpolated."""
+    slow, fast = sorted((tracked, encoders), key=lambda series: -np.median(np.diff(series.t_s)))
+    slow = _beside(fast, slow, where)
+    between = {name: np.interp(slow.t_s, fast.t_s, values) for name, values in fast.columns.items()}
+    return Series(slow.t_s, {**slow.columns, **between})
+
+
+def _beside(other: Series, series: Series, where: Path) -> Series:
+    """Return the rows of a series that lie in no gap of another one; raise TrialError if there are none."""
+    usual = float(np.median(np.diff(other.t_s)))
+    after = np.clip(np.searchsorted(other.t_s, series.t_s), 1, len(other) - 1)
+    keep: NDArray[np.bool_] = np.diff(other.t_s)[after - 1] <= max(GAP_FACTOR * usual, GAP_MIN_S)
+    keep &= (series.t_s >= other.t_s[0]) & (series.t_s <= other.t_s[-1])
+    if not keep.any():
+        raise TrialError(
+            f"{where}: motion capture and {', '.join(other.columns)} have no time in common; give them stamps of one "
+            "clock"
+        )
+    return series.kept(keep)

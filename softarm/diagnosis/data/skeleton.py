@@ -1,6 +1,6 @@
 """Joints of a MuJoCo model that tracked sites and bodies determine (inverse kinematics)."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +9,7 @@ import numpy as np
 
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data import checks, mjcf
+from softarm.diagnosis.data.poses import pose_joints
 from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import Array, Series, TrialError
 
@@ -50,7 +51,7 @@ class Poses(NamedTuple):
 
 
 class Skeleton:
-    """Joints of a model that move tracked sites and bodies.
+    """Joints of a model that move tracked sites and bodies, and have no reading of their own.
 
     Attributes:
         joints: their names.
@@ -59,13 +60,13 @@ class Skeleton:
         reach_m: largest distance of a tracked point from the first joint in the model's zero.
     """
 
-    def __init__(self, path: Path, columns: Collection[str], moved: Collection[str] = ()) -> None:
+    def __init__(self, path: Path, columns: Collection[str], known: Collection[str] = ()) -> None:
         """Load an MJCF or URDF file.
 
         Args:
             path: the file.
             columns: NAME_x, NAME_y, NAME_z and NAME_qw to NAME_qz of sites or bodies.
-            moved: columns of joints that are moved from outside.
+            known: columns of joints and poses that are measured otherwise.
 
         Raises:
             TrialError: a column belongs to no site or body, or tracked points cannot determine a joint that moves them.
@@ -76,9 +77,10 @@ class Skeleton:
         self.points = tuple(self._points(columns))
         model, kinds = self._model, self._mujoco.mjtJoint
         bodies = [int(model.site_bodyid[p.number]) if p.is_site else p.number for p in self.points]
-        carriers = {joint for body in bodies for joint in self._carriers(body)}
-        numbers = [j for j in sorted(carriers) if model.joint(j).name not in moved]
-        self._refuse(numbers)
+        carriers = {joint for body in bodies for joint in mjcf.carriers(model, body)}
+        self._columns = mjcf.columns_of_joints(self._mujoco, model)
+        numbers = [j for j in sorted(carriers) if not {*self._columns[j]} <= {*known}]
+        self._refuse(carriers, numbers)
         self.joints = tuple(str(model.joint(j).name) for j in numbers)
         turns = model.jnt_type[numbers] == int(kinds.mjJNT_HINGE)
         self.units = tuple("rad" if each else "m" for each in turns)
@@ -87,7 +89,6 @@ class Skeleton:
         self._low = np.where(limited, model.jnt_range[numbers, 0], -WIDE)
         self._high = np.where(limited, model.jnt_range[numbers, 1], WIDE)
         self._turns = turns
-        self._place_of = {str(model.joint(j).name): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
         self.reach_m = self._reach_m()
 
     def tracked(self, mocap: Series, where: Path) -> Tracked:
@@ -101,17 +102,28 @@ class Skeleton:
         turned = np.stack(turns, axis=1)
         return Tracked(np.array(places).transpose(2, 0, 1), turned / np.linalg.norm(turned, axis=2, keepdims=True))
 
-    def around(self, mocap: Series, base: Series | None, where: Path) -> Array:
-        """Return the positions of the model's other joints, qpos [T, nq]; raise TrialError for an unknown joint."""
-        qpos = np.tile(self._model.qpos0, (len(mocap), 1))
-        if base is None:
-            return qpos
-        for name, values in base.columns.items():
-            if name not in self._place_of:
-                raise TrialError(
-                    f"{where}: {name} is no joint of the model; beside `mocap`, `base` has hinge and slide joints alone"
-                )
-            qpos[:, self._place_of[name]] = np.interp(mocap.t_s, base.t_s, values)
+    def around(self, t_s: Array, known: Iterable[Series], where: Path) -> Array:
+        """Return the positions of the model's other joints at some times, qpos [T, nq].
+
+        Raises:
+            TrialError: a column is no joint of the model, or has no unit quaternions.
+        """
+        qpos = np.tile(self._model.qpos0, (len(t_s), 1))
+        place = {
+            name: int(self._model.jnt_qposadr[j]) + i
+            for j, names in self._columns.items()
+            for i, name in enumerate(names)
+        }
+        for series in known:
+            for pose in pose_joints(self._mujoco, self._model).values():
+                series = pose.continuous(series, where)
+            for name, values in series.columns.items():
+                if name not in place:
+                    raise TrialError(
+                        f"{where}: {name} is no joint of the model; {did_you_mean(name, place)}the model has "
+                        f"{', '.join(place)}; name the column after its joint"
+                    )
+                qpos[:, place[name]] = np.interp(t_s, series.t_s, values)
         return qpos
 
     def followed(self, seen: Tracked, qpos: Array, start: int, near: Array, most_m: float) -> Poses:
@@ -172,7 +184,7 @@ class Skeleton:
         for name, of in parts.items():
             site, body = (self._mujoco.mj_name2id(m, kind, name) for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_BODY))
             if max(site, body) < 0:
-                known = mjcf.places(m)
+                known = mjcf.places(self._mujoco, m)
                 raise TrialError(
                     f"{self._path}: no site or body {name}; {did_you_mean(name, known)}the model has "
                     f"{', '.join(known)}; add a site where the marker is"
@@ -181,31 +193,34 @@ class Skeleton:
                 raise TrialError(f"{self._path}: the orientation of {name} needs {name}_qw to {name}_qz; name all four")
             yield Point(name, site if site >= 0 else body, site >= 0, of >= _TURN)
 
-    def _refuse(self, numbers: list[int]) -> None:
-        """Raise TrialError if no joint moves the points, or one cannot be determined; numbers: the joints."""
+    def _refuse(self, carriers: Collection[int], numbers: Collection[int]) -> None:
+        """Raise TrialError if no joint of unknown position moves the points, or one cannot be determined.
+
+        Args:
+            carriers: joints that move the points.
+            numbers: those of them without a reading of their own.
+        """
         model, kinds = self._model, self._mujoco.mjtJoint
-        if not numbers:
-            names = ", ".join(point.name for point in self.points)
+        names = ", ".join(point.name for point in self.points)
+        if not carriers:
             raise TrialError(f"{self._path}: no joint moves {names}; track a point that moves")
+        if not numbers:
+            raise TrialError(
+                f"{self._path}: every joint that moves {names} has a column of its own; leave `mocap` out, or the "
+                "column of a joint that it should determine"
+            )
         single = int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)
         if other := [j for j in numbers if model.jnt_type[j] not in single or not model.joint(j).name]:
             body = model.body(int(model.jnt_bodyid[other[0]])).name
             raise TrialError(
-                f"{self._path}: body {body} has a joint that is no hinge or slide, or has no name; name it, or measure "
-                "the joints behind it with columns of their own under `measured`"
+                f"{self._path}: body {body} has a joint without a name, or one that is no hinge or slide; name it, "
+                "or write the whole pose under `base`"
             )
         if both := sorted({*numbers} & self._coupled()):
             raise TrialError(
                 f"{self._path}: an equality couples {model.joint(both[0]).name} with other joints, which `mocap` "
                 "cannot determine; measure the joints with columns of their own under `measured`"
             )
-
-    def _carriers(self, body: int) -> Iterator[int]:
-        """Yield the joints that move a body."""
-        m = self._model
-        while body:
-            yield from range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
-            body = int(m.body_parentid[body])
 
     def _coupled(self) -> set[int]:
         """Return the joints that an equality couples."""
@@ -214,7 +229,7 @@ class Skeleton:
             if kind == int(kinds.mjEQ_JOINT):
                 found |= {int(one), int(other)} - {-1}
             elif kind in (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)):
-                found |= {*self._carriers(int(one))} ^ {*self._carriers(int(other))}
+                found |= {*mjcf.carriers(m, int(one))} ^ {*mjcf.carriers(m, int(other))}
         return found
 
     def _solved(self, places: Array, turns: Array, qpos: Array, near: Array) -> tuple[Array, float, float]:

@@ -91,8 +91,6 @@ def _channels(kind: StageKind, channels: Mapping[str, Any], links: int) -> Itera
                     ("channels", name, "columns", column),
                     f"unknown column; {near}{name} of a {kind} stage has {', '.join(known)}; call it one of these",
                 )
-        if channel.instead_of in channels and name in channels:
-            yield ("channels", name), f"is given together with {channel.instead_of}; keep one of the two"
         if name not in channels:
             others = {channel.instead_of, *(n for n, each in CHANNELS[kind].items() if each.instead_of == name)}
             if not channel.optional and not others & channels.keys():

@@ -139,9 +139,12 @@ def _read(
         channels["measured"] = _absolute(channels["measured"], about.links)
     if skeleton is not None:
         tracked = channels.pop("mocap")
-        measured, lost = mocap.positions(skeleton, tracked, channels.get("base"), recording.files["mocap"])
+        where, known = recording.files["mocap"], [channels[name] for name in ("measured", "base") if name in channels]
+        measured, lost = mocap.positions(skeleton, tracked, known, where)
+        if "measured" in channels:
+            measured = mocap.joined(measured, channels["measured"], where)
         warnings += lost
-        channels = {"measured": measured, **channels}
+        channels = {**channels, "measured": measured}
     return _Read(channels, missing, tuple(warnings))
 
 

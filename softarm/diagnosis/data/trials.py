@@ -64,6 +64,10 @@ class Series:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    def kept(self, keep: NDArray[np.bool_]) -> "Series":
+        """Return the rows that are kept."""
+        return Series(self.t_s[keep], {name: values[keep] for name, values in self.columns.items()})
+
 
 class TableUnit(NamedTuple):
     """Unit of a table's column."""

@@ -2,8 +2,9 @@
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def propose(
     joints: Sequence[ModelJoint],
     model: str,
     leaders: Callable[[Collection[str]], Mapping[str, str]],
-    places: Collection[str] = (),
+    places: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Proposal:
     """Return the content of a stage file of kind mujoco.
 
@@ -59,14 +60,15 @@ def propose(
         joints: joints of the model.
         model: path of the model as the stage file names it.
         leaders: returns which of some measured joints follow another by the model's equalities, with that joint.
-        places: sites and bodies of the model, which motion capture may track.
+        places: sites and bodies of the model, which motion capture may track, with the columns of all joints that move
+            them.
 
     Raises:
         Unknown: the stamps or their unit are unknown.
         TrialError: no column has the name of a joint or of a tracked point.
     """
     draft = Draft(survey, answers)
-    found = _used(draft, joints, _tracked(draft, joints, places))
+    found = _used(draft, joints, _tracked(draft, joints, places), places)
     for name, leader in leaders(found.get("measured", {})).items():
         found.setdefault("base", {})[name] = found["measured"].pop(name)
         draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
@@ -80,8 +82,13 @@ def propose(
     return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
 
 
-def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Signal]) -> dict[str, dict[str, Use]]:
-    """Return the columns by channel and by the model's name for them; tracked points count if no joint is measured."""
+def _used(
+    draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Signal], places: Mapping[str, Collection[str]]
+) -> dict[str, dict[str, Use]]:
+    """Return the columns by channel and by the model's name for them.
+
+    Tracked points count if a joint that moves one has no column of its own.
+    """
     found = dict[str, dict[str, Use]]()
     poses, taken, unseen = _poses(draft, joints), [*tracked.values()], dict[str, Use]()
     for joint in joints:
@@ -101,7 +108,8 @@ def _used(draft: Draft, joints: Sequence[ModelJoint], tracked: Mapping[str, Sign
             found.setdefault("command", {}).update(sent)
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
-    if tracked and "measured" not in found:
+    carriers = {column for name in tracked for column in places[name.rpartition("_")[0]]}
+    if carriers - found.get("measured", {}).keys() - found.get("base", {}).keys():
         found["mocap"] = _coordinates(draft, tracked)
         found["command"] = {**found.get("command", {}), **unseen}
         draft.notes.append("Tracked points have to be in the model's frame")
@@ -143,7 +151,7 @@ def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
     return replace(survey, signals=tuple(map(read, survey.signals)))
 
 
-def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Collection[str]) -> dict[str, Signal]:
+def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Iterable[str]) -> dict[str, Signal]:
     """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw."""
     known = {_plain(name): name for name in sorted(places, key=len)}
     others = {name for joint in joints for name in _names(joint)}

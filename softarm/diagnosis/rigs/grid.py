@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 
@@ -123,12 +122,7 @@ def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
             trial,
             name=f"{trial.name} from {low - start:.4g} s",
             recording=trial.recording or trial.name,
-            channels={name: kept(s, (s.t_s >= low) & (s.t_s < high)) for name, s in trial.channels.items()},
+            channels={name: s.kept((s.t_s >= low) & (s.t_s < high)) for name, s in trial.channels.items()},
         )
         for low, high in pairwise(edges)
     )
-
-
-def kept(series: Series, keep: NDArray[np.bool_]) -> Series:
-    """Return the samples of a channel that are kept."""
-    return Series(series.t_s[keep], {name: values[keep] for name, values in series.columns.items()})

@@ -72,10 +72,10 @@ def tracked(file, positions, names, noise_m=0.0):
     return found
 
 
-def solved(file, columns, base=None):
+def solved(file, columns, base=None, base_t_s=T):
     """Return the joints' positions from tracked points; base: known joints."""
-    moved = None if base is None else Series(T, base)
-    return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), moved, Path("run.csv"))[0]
+    known = [] if base is None else [Series(base_t_s, base)]
+    return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), known, Path("run.csv"))[0]
 
 
 @pytest.mark.slow
@@ -171,7 +171,7 @@ def test_a_few_rows_without_the_points_are_left_out_with_a_warning(model):
     for values in columns.values():
         values[[0, *range(50, 54)]] = 0.0  # as a system writes a lost marker
     skeleton = Skeleton(file, columns)
-    found, (warning,) = mocap.positions(skeleton, Series(T, columns), None, Path("run.csv"))
+    found, (warning,) = mocap.positions(skeleton, Series(T, columns), [], Path("run.csv"))
     assert warning.startswith("run.csv: in 5 rows, first at 0.000 s, the tracked points differ by more than")
     assert found["elbow"] == pytest.approx(np.delete(true[:, 3], [0, *range(50, 54)]), abs=1e-6)
 
@@ -197,28 +197,93 @@ def test_joints_that_an_equality_couples_are_refused(model, extra, message):
     assert Skeleton(model(extra=extra.replace("fore", "carriage")), ["carriage_x"]).joints == ("rail",)
 
 
-def test_a_point_of_a_floating_body_is_refused(tmp_path):
+@pytest.fixture
+def floating(tmp_path):
+    """Return the model with a carriage that floats."""
     file = write(tmp_path)
     slide = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
     file.write_text(file.read_text().replace(slide, "<freejoint/>"))
-    with pytest.raises(TrialError, match="body carriage has a joint that is no hinge or slide"):
-        Skeleton(file, ["tip_x"])
+    return file
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    """Return the description of two recordings of tracked points in mm, 0.1 mm off, and what its command printed."""
-    folder = tmp_path_factory.mktemp("rig")
+POSE = ("carriage_x", "carriage_y", "carriage_z", "carriage_qw", "carriage_qx", "carriage_qy", "carriage_qz")
+
+
+def test_a_point_of_a_floating_body_without_its_pose_is_refused(floating):
+    message = "body carriage has a joint without a name, .* write the whole pose under `base`"
+    for known in ((), POSE[:6]):
+        with pytest.raises(TrialError, match=message):
+            Skeleton(floating, ["tip_x"], known)
+
+
+def test_joints_behind_a_floating_body_are_found_beside_its_pose(floating):
+    turn, place = 0.4 * np.sin(2 * T), 0.3 * np.sin(T)
+    quaternion = np.stack([np.cos(turn / 2), 0 * T, 0 * T, np.sin(turn / 2)], axis=1)
+    true = motion()
+    qpos = np.column_stack((place, 0 * T, 1 + 0 * T, quaternion, true[:, 1:]))
+    columns = tracked(floating, qpos, ("tip", "elbow_marker"))
+    signs = np.where(T > 1, -1.0, 1.0)  # motion capture may give either of two quaternions
+    pose = dict(zip(POSE, (place, 0 * T, 1 + 0 * T, *(quaternion.T * signs)), strict=True))
+    found = solved(floating, columns, pose)
+    assert found.columns.keys() == {"yaw", "shoulder", "elbow"}
+    for name, of in zip(JOINTS[1:], true[:, 1:].T, strict=True):
+        assert found[name] == pytest.approx(of, abs=1e-6)
+
+
+def test_readings_of_another_rate_are_known_between_their_rows(model):
+    file, true = model(), motion()
+    fine = np.arange(0.3, 1.5, 0.001)
+    fine = fine[(fine < 0.8) | (fine > 1.0)]  # a gap
+    rail = {"rail": 0.2 * np.sin(2 * fine)}
+    found = solved(file, tracked(file, true, ("tip", "elbow_marker")), rail, fine)
+    inside = (T >= 0.3) & (T < 1.499) & ((T <= 0.799) | (T >= 1.001))
+    assert found.t_s == pytest.approx(T[inside])
+    assert found["elbow"] == pytest.approx(true[inside, 3], abs=1e-5)
+
+
+def test_readings_at_another_time_are_refused(model):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker"))
+    with pytest.raises(TrialError, match=r"run.csv: motion capture and rail have no time in common; give them stamps"):
+        solved(file, columns, {"rail": true[:, 0]}, T + 100)
+
+
+def test_tracked_points_whose_joints_are_all_known_are_refused(model):
+    with pytest.raises(TrialError, match="every joint that moves carriage has a column of its own; leave `mocap` out"):
+        Skeleton(model(), ["carriage_x"], ["rail"])
+
+
+@pytest.mark.parametrize("encoder_step_s", [0.004, 0.05])
+def test_encoders_and_tracked_joints_have_the_stamps_of_the_slower_ones(encoder_step_s):
+    at = np.arange(0, 1.9, encoder_step_s)
+    joints = mocap.joined(Series(T, {"elbow": 2 * T}), Series(at, {"rail": 3 * at}), Path("run.csv"))
+    slow = T if encoder_step_s < 0.02 else at
+    assert joints.t_s == pytest.approx(slow[slow <= at[-1]])
+    assert joints["elbow"] == pytest.approx(2 * joints.t_s)
+    assert joints["rail"] == pytest.approx(3 * joints.t_s)
+
+
+def described(folder, encoders=()):
+    """Return the description of two recordings of tracked points in mm, 0.1 mm off, and what its command printed.
+
+    encoders: joints that have a column of their own.
+    """
     file = write(folder)
     for number, mean in enumerate((0.8, 1.2), 1):
         true = motion(elbow=(mean, 0.6))
         columns = {name: 1e3 * x for name, x in tracked(file, true, ("tip", "elbow_marker"), 1e-4).items()}
         columns |= {f"{name}_servo": x for name, x in zip(JOINTS[1:], true[:, 1:].T, strict=True)}
+        columns |= {name: true[:, JOINTS.index(name)] for name in encoders}
         table = np.stack([T, *columns.values()], axis=1)
         np.savetxt(folder / f"run-{number}.csv", table, delimiter=",", header="t," + ",".join(columns), comments="")
     data = [str(folder / each) for each in ("arm.xml", "run-1.csv", "run-2.csv")]
     result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(folder / "stage.yaml")])
     return folder / "stage.yaml", result
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return described(tmp_path_factory.mktemp("rig"))
 
 
 @pytest.mark.slow
@@ -239,6 +304,26 @@ def test_a_trial_has_the_joints_and_not_the_points(rig):
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
 
 
+@pytest.mark.slow
+def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path):
+    file, result = described(tmp_path, ["rail"])
+    assert result.exit_code == 0, result.output
+    channels = yaml.safe_load(file.read_text())["channels"]
+    assert channels.keys() == {"measured", "mocap", "command"}
+    assert [*channels["measured"]["columns"]] == ["rail"]
+    elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
+    assert elbow.channels["measured"].columns.keys() == {*JOINTS}
+    assert elbow.channels["measured"]["rail"] == pytest.approx(motion()[:, 0])
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+
+
+@pytest.mark.slow
+def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
+    file, result = described(tmp_path, JOINTS)
+    assert result.exit_code == 0, result.output
+    assert yaml.safe_load(file.read_text())["channels"].keys() == {"measured", "command"}
+
+
 def test_effects_of_the_nominal_model_name_joints(rig):
     stage = yaml.safe_load(rig[0].read_text()) | {"effects": {"elbow.gain": {"scale": 0.1}}}
     other = rig[0].with_name("effects.yaml")
@@ -250,7 +335,6 @@ def test_effects_of_the_nominal_model_name_joints(rig):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda s: s["channels"].update(measured=s["channels"]["command"]), "is given together with measured"),
         (lambda s: s["channels"].pop("mocap"), "a mujoco stage needs a channel measured"),
         (lambda s: s["channels"]["mocap"]["columns"]["tip_x"].update(unit="rad"), "allowed are units of m"),
         (

@@ -22,7 +22,7 @@ from softarm.diagnosis.rigs.chain.effects import (
 )
 from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
-from softarm.diagnosis.rigs.grid import Grid, grid, kept, resolution, windows
+from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values
 
@@ -373,7 +373,7 @@ def _cut(trial: Trial, seconds: float, margin_s: float) -> tuple[Trial, ...]:
     for part in windows(trial, seconds):
         seen = part.channels["measured"]
         low, high = seen.t_s[0] - margin_s, seen.t_s[-1] + margin_s
-        around = {name: kept(s, (s.t_s >= low) & (s.t_s <= high)) for name, s in trial.channels.items()}
+        around = {name: s.kept((s.t_s >= low) & (s.t_s <= high)) for name, s in trial.channels.items()}
         found.append(replace(part, channels={**around, "measured": seen}))
     return tuple(found)
 

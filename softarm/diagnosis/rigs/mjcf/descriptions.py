@@ -6,11 +6,11 @@ from itertools import combinations
 
 import numpy as np
 
+from softarm.diagnosis.data.poses import Motion
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.checks import DEGREES, LEFT, unexplained
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
-from softarm.diagnosis.rigs.mjcf.poses import Motion
 from softarm.diagnosis.rigs.mjcf.torques import load, torque
 
 # Zeros that are tried, rad: descriptions of one arm usually differ by right angles.

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from softarm.common import files
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data.mjcf import load
+from softarm.diagnosis.data.poses import Motion, pose_joints
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as law
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 from softarm.diagnosis.rigs.mjcf.links import Link, Links
-from softarm.diagnosis.rigs.mjcf.poses import Motion, PoseJoint
 from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
@@ -123,7 +123,7 @@ class Mechanism:
         kinds = (int(self._mujoco.mjtJoint.mjJNT_HINGE), int(self._mujoco.mjtJoint.mjJNT_SLIDE))
         single = [i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds]
         self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
-        self.poses = tuple(self._pose(i) for i in range(self.model.njnt) if i not in single)
+        self.poses = tuple(pose_joints(self._mujoco, self.model).values())
 
     def mjcf(self) -> str:
         """Return the text of the MJCF file; else the MJCF that MuJoCo makes of it, if it is not one file of strict XML.
@@ -430,12 +430,6 @@ class Mechanism:
         time, damping = (float(each) for each in self.model.dof_solref[dof])
         rate = 2 / (most * max(time, 2 * self.step_s)) if time > 0 else -damping / most
         return {"softness": (1 - least) / least * float(self.model.dof_invweight0[dof]), "yields_per_s": rate}
-
-    def _pose(self, number: int) -> PoseJoint:
-        m, free = self.model, int(self._mujoco.mjtJoint.mjJNT_FREE)
-        body = self._name("body", int(m.jnt_bodyid[number]))  # floating joints seldom have a name of their own
-        floats, name = bool(m.jnt_type[number] == free), str(m.joint(number).name) or body
-        return PoseJoint(name, floats, int(m.jnt_qposadr[number]), int(m.jnt_dofadr[number]))
 
 
 def mechanism(path: Path, measured: Iterable[str] = (), moved: Iterable[str] = ()) -> Mechanism:

@@ -1,15 +1,15 @@
-"""Measured poses of floating bodies and of ball joints: columns of positions and quaternions."""
+"""Measured poses of a MuJoCo model's floating bodies and ball joints: columns of positions and quaternions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.stage_rules import QUATERNION
-from softarm.diagnosis.data.trials import Series, TrialError
-from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.data.trials import Array, Series, TrialError
 
 # Position, speed and acceleration of each column, [T] each.
 Motion = Mapping[str, Sequence[Array]]
@@ -39,7 +39,7 @@ class PoseJoint:
         """Return all columns of the pose."""
         return self.place + self.turn
 
-    def lacking(self, columns: Mapping[str, object]) -> tuple[str, ...]:
+    def lacking(self, columns: Container[str]) -> tuple[str, ...]:
         """Return the columns that are missing."""
         return tuple(name for name in self.columns if name not in columns)
 
@@ -79,6 +79,17 @@ class PoseJoint:
         qpos[:, at : at + 4] = turn
         qvel[:, first : first + 3] = 2 * _within_body(turn, rates / lengths)
         qacc[:, first : first + 3] = 2 * _within_body(turn, curves / lengths)
+
+
+def pose_joints(mujoco: Any, model: Any) -> dict[int, PoseJoint]:
+    """Return the free and ball joints of a model by their numbers; floating bodies seldom name their joint."""
+    found, free, ball = dict[int, PoseJoint](), int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+    for number in np.flatnonzero(np.isin(model.jnt_type, (free, ball))):
+        body = model.body(int(model.jnt_bodyid[number])).name or f"body{model.jnt_bodyid[number]}"
+        name, floats = model.joint(int(number)).name or body, model.jnt_type[number] == free
+        at = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
+        found[int(number)] = PoseJoint(str(name), bool(floats), *at)
+    return found
 
 
 def _within_body(turn: Array, change: Array) -> Array:
