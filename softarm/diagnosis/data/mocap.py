@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.data.checks import GAP_FACTOR, GAP_MIN_S
-from softarm.diagnosis.data.skeleton import Skeleton
+from softarm.diagnosis.data.skeleton import Poses, Skeleton
 from softarm.diagnosis.data.stage_file import Stage
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.schemas.trial import Column, TableChannel
@@ -21,6 +21,9 @@ MISFIT, LOST, APART = 0.02, 0.05, 0.05
 # Least motion of the points per motion of the joints: of the usual row as a share of the reach, of a row as a share of
 # the usual one.
 UNDETERMINED, NEARLY = 1e-3, 0.3
+# Delay of motion capture beside other readings: rows that show it, steps of the search, step of the difference
+# quotient, least and largest result, s, and ratio of the squared errors with and without it below which it counts.
+LATE_ROWS, LATE_STEPS, LATE_NUDGE_S, LATE_LEAST_S, LATE_MOST_S, LESS = 200, 4, 0.002, 1e-4, 0.2, 0.9
 
 
 def skeleton_of(stage: Stage, base: Path) -> Skeleton | None:
@@ -48,8 +51,9 @@ def with_joints(stage: Stage, skeleton: Skeleton | None) -> Stage:
 def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where: Path) -> tuple[Series, list[str]]:
     """Return the positions of a skeleton's joints with the stamps of motion capture, and warnings.
 
-    Left out are rows near a pose in which the tracked points hardly show a joint's motion, rows in a gap of the other
-    readings, and a few rows that fit no pose.
+    Stamps are corrected if the tracked points show that they are late or early beside the other readings. Left out are
+    rows near a pose in which the points hardly show a joint's motion, rows in a gap of the other readings, and a few
+    rows that fit no pose.
 
     Args:
         skeleton: joints and tracked points.
@@ -59,6 +63,43 @@ def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where:
 
     Raises:
         TrialError: the points do not fit the model, fit several poses, or do not determine a joint.
+    """
+    warnings, most_m = list[str](), MISFIT * skeleton.reach_m
+    mocap, poses, found = _fitted(skeleton, mocap, known, where)
+    if late_s := _late_s(skeleton, mocap, known, found, where):
+        names = ", ".join(name for series in known for name in series.columns)
+        warnings.append(
+            f"{where}: the tracked points are {1e3 * abs(late_s):.1f} ms {'late' if late_s > 0 else 'early'} beside "
+            f"{names}; their stamps are corrected: stamp all devices with one clock, at the time of measurement"
+        )
+        mocap, poses, found = _fitted(skeleton, Series(mocap.t_s - late_s, mocap.columns), known, where)
+    best, lost = poses.positions[0], found.errors_m > most_m
+    if lost.mean() > LOST:
+        raise TrialError(
+            f"{where}: the tracked points differ by {np.median(found.errors_m[lost]):.2g} m from the model in its best "
+            f"poses in {lost.mean():.0%} of the rows; allowed {most_m:.2g} m: check their unit, that origin and axes "
+            "are those of the model (many systems have y upwards), and that each site is where its marker is"
+        )
+    if others := [pose for pose in poses.positions if skeleton.distance(pose, best) > APART]:
+        two = " or ".join(", ".join(f"{x:.2f}" for x in pose) for pose in (best, others[0]))
+        raise TrialError(
+            f"{where}: several poses fit the tracked points: {', '.join(skeleton.joints)} may be at {two}; track a "
+            "point on a link between, or give the joints their `range` in the model"
+        )
+    if lost.any():
+        warnings.append(
+            f"{where}: in {lost.sum()} rows, first at {mocap.t_s[lost][0]:.3f} s, the tracked points differ by more "
+            f"than {most_m:.2g} m from every pose of the model; they are left out: mark lost points by `missing`"
+        )
+    keep = ~lost & (found.shown > NEARLY * np.median(found.shown))
+    return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True))), warnings
+
+
+def _fitted(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where: Path) -> tuple[Series, Poses, Poses]:
+    """Return the rows beside which the other readings are known, the poses that fit one of them, and that of each.
+
+    Raises:
+        TrialError: the points do not determine a joint.
     """
     for series in known:
         mocap = _beside(series, mocap, where)
@@ -73,28 +114,37 @@ def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where:
             f"{where}: the tracked points do not show the position of {', '.join(names)}; track more points on the "
             "links behind these joints, or the orientation of the last one (NAME_qw to NAME_qz)"
         )
-    found = skeleton.followed(seen, qpos, clear, best, most_m)
-    lost = found.errors_m > most_m
-    if lost.mean() > LOST:
-        raise TrialError(
-            f"{where}: the tracked points differ by {np.median(found.errors_m[lost]):.2g} m from the model in its best "
-            f"poses in {lost.mean():.0%} of the rows; allowed {most_m:.2g} m: check their unit, that origin and axes "
-            "are those of the model (many systems have y upwards), and that each site is where its marker is"
-        )
-    if others := [pose for pose in poses.positions if skeleton.distance(pose, best) > APART]:
-        two = " or ".join(", ".join(f"{x:.2f}" for x in pose) for pose in (best, others[0]))
-        raise TrialError(
-            f"{where}: several poses fit the tracked points: {', '.join(skeleton.joints)} may be at {two}; track a "
-            "point on a link between, or give the joints their `range` in the model"
-        )
-    warnings = []
-    if lost.any():
-        warnings.append(
-            f"{where}: in {lost.sum()} rows, first at {mocap.t_s[lost][0]:.3f} s, the tracked points differ by more "
-            f"than {most_m:.2g} m from every pose of the model; they are left out: mark lost points by `missing`"
-        )
-    keep = ~lost & (found.shown > NEARLY * np.median(found.shown))
-    return Series(mocap.t_s[keep], dict(zip(skeleton.joints, found.positions[keep].T, strict=True))), warnings
+    return mocap, poses, skeleton.followed(seen, qpos, clear, best, most_m)
+
+
+def _late_s(skeleton: Skeleton, mocap: Series, known: Sequence[Series], found: Poses, where: Path) -> float:
+    """Return how late the tracked points are beside the other readings, s; 0 if they do not show it.
+
+    More coordinates than unknown joints show it: Newton's method finds the delay with the smallest error.
+
+    Args:
+        skeleton: joints and tracked points.
+        mocap: tracked coordinates, [T].
+        known: positions of other joints, and poses.
+        found: pose of each row without a delay.
+        where: file, for messages.
+    """
+    if not known:
+        return 0.0
+    rows = np.unique(np.linspace(0, len(mocap) - 1, LATE_ROWS).astype(int))
+    seen, near = skeleton.tracked(mocap.kept(np.isin(np.arange(len(mocap)), rows)), where), found.positions[rows]
+
+    def squared(late_s: float) -> float:
+        qpos = skeleton.around(mocap.t_s[rows] - late_s, known, where)
+        return float(np.mean(skeleton.refined(seen, qpos, near).errors_m ** 2))
+
+    late_s, before = 0.0, squared(0.0)
+    for _ in range(LATE_STEPS):
+        below, at, above = (squared(late_s + each) for each in (-LATE_NUDGE_S, 0.0, LATE_NUDGE_S))
+        if (bend := below - 2 * at + above) <= 0:
+            return 0.0
+        late_s = float(np.clip(late_s + LATE_NUDGE_S * (below - above) / (2 * bend), -LATE_MOST_S, LATE_MOST_S))
+    return late_s if LATE_LEAST_S < abs(late_s) < LATE_MOST_S and squared(late_s) < LESS * before else 0.0
 
 
 def joined(tracked: Series, encoders: Series, where: Path) -> Series:

@@ -144,6 +144,11 @@ class Skeleton:
                 last = found[row][0] if found[row][1] < most_m else last
         return Poses(*map(np.array, zip(*found, strict=True)))
 
+    def refined(self, seen: Tracked, qpos: Array, near: Array) -> Poses:
+        """Return the pose of each row near another one, [R, J]; see `followed`."""
+        rows = zip(seen.places, seen.turns, qpos, near, strict=True)
+        return Poses(*map(np.array, zip(*(self._solved(*row) for row in rows), strict=True)))
+
     def poses(self, seen: Tracked, qpos: Array, row: int) -> Poses:
         """Return the poses that fit one row alike, the best one first: those within the joints' ranges, if any are."""
         starts = np.random.default_rng(0).uniform(self._low, self._high, (STARTS, len(self._low)))

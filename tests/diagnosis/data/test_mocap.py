@@ -241,6 +241,29 @@ def test_readings_of_another_rate_are_known_between_their_rows(model):
     assert found["elbow"] == pytest.approx(true[inside, 3], abs=1e-5)
 
 
+@pytest.mark.parametrize("late_s", [0.03, -0.012])
+def test_stamps_of_motion_capture_that_are_late_beside_encoders_are_corrected(model, late_s):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker", "upper"), 1e-4)
+    fine = np.arange(-0.2, 2.2, 0.004)
+    rail = Series(fine, {"rail": 0.2 * np.sin(2 * fine)})
+    skeleton = Skeleton(file, columns, ["rail"])
+    found, warnings = mocap.positions(skeleton, Series(T + late_s, columns), [rail], Path("run.csv"))
+    said = re.fullmatch(r"run.csv: the tracked points are (.*) ms (late|early) beside rail; .* one clock.*", *warnings)
+    assert float(said[1]) == pytest.approx(1e3 * abs(late_s), abs=0.5)
+    assert said[2] == ("late" if late_s > 0 else "early")
+    assert found.t_s == pytest.approx(T, abs=5e-4)
+    assert found["elbow"] == pytest.approx(true[:, 3], abs=5e-3)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-4])
+def test_stamps_of_one_clock_are_not_corrected(model, noise_m):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker", "upper"), noise_m)
+    rail = Series(T, {"rail": true[:, 0]})
+    assert not mocap.positions(Skeleton(file, columns, ["rail"]), Series(T, columns), [rail], Path("run.csv"))[1]
+
+
 def test_readings_at_another_time_are_refused(model):
     file, true = model(), motion()
     columns = tracked(file, true, ("tip", "elbow_marker"))
