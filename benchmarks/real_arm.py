@@ -1,10 +1,11 @@
-"""Predict a held-out recording of a real SO-101 arm with three models: as published, of mujoco.sysid, of the diagnosis.
+"""Predict a held-out recording of a real SO-101 arm: with the public model, with rivals' fits and with the diagnosis.
 
 mujoco.sysid fits 25 parameters that are chosen here: position gain, damping, dry friction and armature of six joints,
 and one delay of all sensors. Its gains start at 40 N m/rad, near those of the servos; from the model's own 998 it ends
-far from the recordings. The diagnosis starts from the model and chooses its effects; its best fit is used
-(`--best-fit`). Both learn from the same four recordings. The fifth is then simulated freely from its first positions,
-all joints at once. Needs the extra `mujoco` and `pip install 'mujoco[sysid]'`.
+far from the recordings. PACE's objective fits its own 25 parameters, with the model's gains, and 31 with gains. The
+diagnosis starts from the model and chooses its effects; its best fit is used (`--best-fit`). All learn from the same
+four recordings. The fifth is then simulated freely from its first positions, all joints at once. Needs the extra
+`mujoco` and `pip install 'mujoco[sysid]' cma`.
 
     python -m benchmarks.real_arm --data FOLDER --json FILE
 """
@@ -12,10 +13,10 @@ all joints at once. Needs the extra `mujoco` and `pip install 'mujoco[sysid]'`.
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 import mujoco
@@ -23,7 +24,8 @@ import numpy as np
 from mujoco import sysid
 from numpy.typing import NDArray
 
-from benchmarks import results
+from benchmarks import pace, results
+from benchmarks.arm_recordings import Recording, joints_of, recording_of, recordings
 from softarm.common.processes import cores
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Trial
@@ -39,37 +41,10 @@ BOUNDS = {"kp": (5.0, 1500.0), "damping": (0.0, 10.0), "frictionloss": (0.0, 2.0
 DELAY_S = (0.0, 0.2)
 KP_START, DELAY_START_S = 40.0, 0.02
 ITERATIONS = 20  # the last ones lower the cost by less than 0.1 %
+RIVALS = "sysid", "pace", "pace_gains"
+MODELS = "public", *RIVALS, "diagnosis"
 
 Array = NDArray[np.float64]
-
-
-class Recording(NamedTuple):
-    """Commands and positions of all joints, in the model's order."""
-
-    name: str
-    command_s: Array
-    command: Array  # [C, J], rad
-    measured_s: Array
-    measured: Array  # [M, J], rad
-
-    def held(self, times_s: Array) -> Array:
-        """Return the command that is in force at times [T], [T, J]."""
-        last = np.searchsorted(self.command_s, times_s, side="right") - 1
-        return self.command[np.maximum(last, 0)]
-
-
-def recordings(trials: Sequence[Trial], joints: Sequence[str]) -> Iterator[Recording]:
-    """Yield each recording of the trials once; its clock starts with the first measured sample."""
-    for trial in {recording_of(trial): trial for trial in trials}.values():
-        command, measured = trial.channel("command"), trial.channel("measured")
-        start_s = measured.t_s[0]
-        yield Recording(
-            recording_of(trial),
-            command.t_s - start_s,
-            np.stack([command[name] for name in joints], axis=1),
-            measured.t_s - start_s,
-            np.stack([measured[name] for name in joints], axis=1),
-        )
 
 
 def simulated(recording: Recording, model: Any, effects: RuntimeEffects | None = None, delay_s: float = 0.0) -> Array:
@@ -173,14 +148,14 @@ def diagnosed(trials: Sequence[Trial], path: Path, budget_s: float) -> tuple[Any
 def compare(
     held_out: str, trials: Sequence[Trial], path: Path, budget_s: float, before: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the errors of the three models on a held-out recording by joint, rad, and the seconds of both fits.
+    """Return the errors of all models on a held-out recording by joint, rad, and the seconds of the fits.
 
     Args:
         held_out: name of the recording.
         trials: trials of all recordings.
         path: public model.
         budget_s: processor time of the diagnosis, s.
-        before: an earlier result, whose figures of mujoco.sysid are taken; empty to fit it.
+        before: an earlier result, whose figures of the rivals are taken; those that it lacks are measured.
     """
     public = mujoco.MjModel.from_xml_path(str(path))
     joints = joints_of(public)
@@ -201,23 +176,22 @@ def compare(
         "best_fit": sorted({path.rpartition(".")[0] for fit in verdict.best_fit.values() for path in fit.parameters}),
         "diagnosis_s": diagnosis_s,
     }
-    if before:
-        return figures | {key: before[key] for key in ("sysid_rad", "sysid_parameters", "sysid_s")}
-    begun = _times()
-    model, parameters = fitted([*training.values()], path)
-    seconds = _since(begun)
-    errors_rad = errors(simulated(last, model, delay_s=parameters["delay"]))
-    return figures | {"sysid_rad": errors_rad, "sysid_parameters": parameters, "sysid_s": seconds}
-
-
-def joints_of(model: Any) -> list[str]:
-    """Return the names of a model's joints in its order."""
-    return [model.joint(i).name for i in range(model.njnt)]
-
-
-def recording_of(trial: Trial) -> str:
-    """Return the recording of a joint's trial."""
-    return trial.name.partition("/")[0]
+    for rival in RIVALS:
+        keys = [f"{rival}_{what}" for what in ("rad", "parameters", "s")]
+        if keys[0] in before:
+            figures |= {key: before[key] for key in keys}
+            continue
+        begun, still = _times(), np.zeros(len(joints))
+        if rival == "sysid":
+            model, parameters = fitted([*training.values()], path)
+            fit = pace.Fit(model, still, parameters["delay"], parameters)
+        else:
+            fit = pace.fitted([*training.values()], public, gains=rival == "pace_gains")
+        seconds = _since(begun)
+        moved = last._replace(command=last.command - fit.zeros, measured=last.measured - fit.zeros)
+        read = simulated(moved, fit.model, delay_s=fit.delay_s) + fit.zeros
+        figures |= dict(zip(keys, (errors(read), fit.parameters, seconds), strict=True))
+    return figures
 
 
 def _times() -> tuple[float, float]:
@@ -234,10 +208,10 @@ def _since(begun: tuple[float, float]) -> dict[str, float]:
 @click.option("--data", type=click.Path(path_type=Path, exists=True), default=Path("../shared/data"), show_default=True)
 @click.option("--hold-out", "held", multiple=True, metavar="NAME", help="Held-out recording; again for more.  [all]")
 @click.option("--budget", "budget_s", default=120.0, show_default=True, help="Processor time of a diagnosis, s.")
-@click.option("--sysid", "earlier", type=results.FILE, help="Take the figures of mujoco.sysid from this result.")
+@click.option("--rivals", "earlier", type=results.FILE, help="Take the figures of the rivals from this result.")
 @results.json_option
 def main(data: Path, held: tuple[str, ...], budget_s: float, earlier: Path | None, json_file: Path | None) -> None:
-    """Compare the three models on held-out recordings.
+    """Compare the models on held-out recordings.
 
     \b
     Example:
@@ -249,9 +223,10 @@ def main(data: Path, held: tuple[str, ...], budget_s: float, earlier: Path | Non
     found = {}
     for name in names:
         found[name] = row = compare(name, trials, data / MODEL, budget_s, known.get(name, {}))
-        click.echo(f"{name}: sysid {row['sysid_s']['wall']:.0f} s, diagnosis {row['diagnosis_s']['wall']:.0f} s")
+        times = (f"{who} {row[f'{who}_s']['wall']:.0f} s" for who in (*RIVALS, "diagnosis"))
+        click.echo(f"{name}: {', '.join(times)}")
         for joint in row["public_rad"]:
-            shown = (f"{1000 * row[f'{who}_rad'][joint]:.0f}" for who in ("public", "sysid", "diagnosis"))
+            shown = (f"{1000 * row[f'{who}_rad'][joint]:.0f}" for who in MODELS)
             click.echo(f"  {joint}: {', '.join(shown)} mrad")
     results.write(json_file, {"budget_s": budget_s, "held_out": found})
 
