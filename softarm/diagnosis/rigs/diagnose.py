@@ -135,6 +135,9 @@ def _joint(
         stage = finding.answer.stage
         found[stage] = replace(finding, vocabulary=found[stage].vocabulary)
         report(f"{stage}, with all joints", begun + (1 - begun) * share)
+    for judgement in judgements:
+        for stage, names in judgement.alike.items():
+            found[stage] = found[stage].equal_to(judgement.effect, names)
     return [judgement.text for judgement in judgements]
 
 

@@ -124,6 +124,17 @@ class Finding:
         named = tuple(effect.model_copy(update={"confidence": None}) for effect in self.named)
         return replace(self, named=named, warnings=(*self.warnings, text))
 
+    def equal_to(self, effect: str, names: Sequence[str]) -> "Finding":
+        """Return the finding with one more effect that the recordings cannot separate from some named effects."""
+        other = f"{self.answer.stage}.{effect}"
+        named = (
+            each.model_copy(update={"equivalents": tuple(dict.fromkeys((*each.equivalents, other)))})
+            if each.name in names
+            else each
+            for each in self.named
+        )
+        return replace(self, named=tuple(named))
+
 
 def view_of(trials: Sequence[Trial]) -> tuple[RigView, Stretches]:
     """Return a stage's view and its windows, in the view's order."""

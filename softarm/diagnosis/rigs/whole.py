@@ -5,8 +5,8 @@ separate them: a search over all stages at once compares one common effect with 
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 
 from softarm.diagnosis.answer.assembly import share
 from softarm.diagnosis.data.trials import Trial, TrialError
@@ -35,8 +35,10 @@ FEW = 4
 class Judgement:
     """Decision of all stages together on one effect of the whole mechanism."""
 
+    effect: str
     held: Mapping[str, Held]  # by stage: of each stage with a gap that the effect loads
     text: str  # what a reader of the verdict needs to know
+    alike: Mapping[str, Sequence[str]] = field(default_factory=dict)  # by stage: named effects that may be this one
 
 
 def judged(
@@ -206,6 +208,9 @@ def _judged(
         judgement = _named(effect, sized, chosen[common.name], stages, found)
         if judgement is not None:
             return judgement
+    if alike := _alike(common.name, chosen.values(), {stage: found[stage] for stage in stages}):
+        what, names = effect.replace(MASS, "mass of "), ", ".join(name for own in alike.values() for name in own)
+        return Judgement(effect, {}, f"the recordings cannot separate {what} from {names}", alike)
     if any(common.name in each.equivalents for each in chosen.values()):
         return None
     against = [stage for stage in stages if f"{stage}.{effect}" in _names(found[stage])]
@@ -214,9 +219,18 @@ def _judged(
     others = ", ".join(stage for stage in stages if stage not in against)
     why = f"the motion of {others} contradicts it" if others else "no one size explains all of them"
     return Judgement(
+        effect,
         {stage: Held(effect, {}) for stage in against},
         f"{', '.join(against)}: {effect} alone would explain the gap, but {why}",
     )
+
+
+def _alike(common: str, chosen: Iterable[SelectedEffect], found: Mapping[str, Finding]) -> dict[str, list[str]]:
+    """Return the named effects of stages that all stages together cannot separate from a common effect, by stage."""
+    classes = ({each.candidate.name, *each.equivalents} for each in chosen)
+    same = {name for names in classes if common in names for name in names}
+    alike = {stage: [e.name for e in of.named if same & {e.name, *e.equivalents}] for stage, of in found.items()}
+    return {stage: names for stage, names in alike.items() if names}
 
 
 def _on(stretches: Stretches, view: RigView) -> RigView:
@@ -302,6 +316,7 @@ def _named(
         for stage in loaded
     }
     return Judgement(
+        effect,
         held,
         f"{', '.join(shown)}: one {effect.replace(MASS, 'mass of ')} explains the gap, with one size for all joints",
     )

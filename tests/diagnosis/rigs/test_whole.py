@@ -136,6 +136,18 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert 0 < size.low < 1.2 < size.high
 
 
+@pytest.mark.slow
+def test_a_body_that_all_joints_leave_open_is_listed_beside_the_effect_of_one_joint(tmp_path):
+    """The wrist of a gripper with a finger of 1.88 times its mass had been a heavier hand, with a confidence."""
+    own = by_joint(tmp_path, "gripper", Truth({}, masses={"left": 1.88}))
+    found = shown(own, wrist=("mass", "length"), left=("damping",))
+    found["left"].named, found["left"].decision.kind = (), "none"
+    (judgement,) = judged(own, found)
+    assert (judgement.effect, judgement.held) == ("mass_left", {})
+    assert judgement.alike == {"wrist": ["wrist.mass"]}
+    assert judgement.text == "the recordings cannot separate mass of left from wrist.mass"
+
+
 @pytest.mark.prove
 def test_a_heavier_body_is_no_payload_though_one_joint_alone_shows_it(tmp_path):
     """The others have too little of it on their own: an arm's wrist, 79 % heavier, was a payload at its end."""
@@ -292,3 +304,13 @@ def test_a_shared_tolerance_has_the_parameters_of_all_joints(monkeypatch):
     monkeypatch.setattr(whole, "nuisances", lambda joint: [Nuisance(path, 0.0, -1.0, 1.0) for path in paths[joint]])
     found = whole.tolerated(["pan", "tilt"], {("tilt", "base"): ["pan", "tilt"]}, {"pan.tilt", "tilt.tilt"})
     assert [n.path for n in found] == ["tilt.mass.scale", "base.tilt.x", "base.tilt.y"]
+
+
+@pytest.mark.prove
+def test_an_answer_has_a_body_that_the_recordings_cannot_separate_from_a_joints_effect(tmp_path):
+    trials = tables.read(mechanism(tmp_path, "gripper", Truth({}, masses={"left": 1.88}), 12.0))
+    verdict = diagnose_table(trials).verdict
+    (effect,) = verdict.effects
+    assert "wrist.mass_left" in (effect.name, *effect.equivalents)
+    if effect.name != "wrist.mass_left":
+        assert f"the recordings cannot separate mass of left from {effect.name}" in verdict.warnings
