@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.data.checks import GAP_FACTOR, GAP_MIN_S
-from softarm.diagnosis.data.skeleton import Poses, Skeleton
+from softarm.diagnosis.data.mocap_frame import in_model_frame
+from softarm.diagnosis.data.skeleton import MISFIT, Poses, Skeleton
 from softarm.diagnosis.data.stage_file import Stage
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.schemas.trial import Column, TableChannel
 
 # Rows of a recording in which a pose is sought without one beside it.
 ROWS = 6
-# Largest error of the points, as a share of the reach; share of the rows in which it may be larger; and distance from
-# which two poses differ, rad or m.
-MISFIT, LOST, APART = 0.02, 0.05, 0.05
+# Share of the rows in which the points may be further off than MISFIT, and distance from which two poses differ, rad
+# or m.
+LOST, APART = 0.05, 0.05
 # Least motion of the points per motion of the joints: of the usual row as a share of the reach, of a row as a share of
 # the usual one.
 UNDETERMINED, NEARLY = 1e-3, 0.3
@@ -57,14 +58,14 @@ def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where:
 
     Args:
         skeleton: joints and tracked points.
-        mocap: tracked coordinates in the model's frame, m, and quaternions.
+        mocap: tracked coordinates, m, and quaternions, in the model's frame if no fixed points show another one.
         known: positions of other joints, and poses.
         where: file, for messages.
 
     Raises:
         TrialError: the points do not fit the model, fit several poses, or do not determine a joint.
     """
-    warnings, most_m = list[str](), MISFIT * skeleton.reach_m
+    warnings, most_m, mocap = list[str](), MISFIT * skeleton.reach_m, in_model_frame(skeleton, mocap, where)
     mocap, poses, found = _fitted(skeleton, mocap, known, where)
     if late_s := _late_s(skeleton, mocap, known, found, where):
         names = ", ".join(name for series in known for name in series.columns)
@@ -78,7 +79,8 @@ def positions(skeleton: Skeleton, mocap: Series, known: Sequence[Series], where:
         raise TrialError(
             f"{where}: the tracked points differ by {np.median(found.errors_m[lost]):.2g} m from the model in its best "
             f"poses in {lost.mean():.0%} of the rows; allowed {most_m:.2g} m: check their unit, that origin and axes "
-            "are those of the model (many systems have y upwards), and that each site is where its marker is"
+            "are those of the model (many systems have y upwards; three tracked points of the base would show it), and "
+            "that each site is where its marker is"
         )
     if others := [pose for pose in poses.positions if skeleton.distance(pose, best) > APART]:
         two = " or ".join(", ".join(f"{x:.2f}" for x in pose) for pose in (best, others[0]))

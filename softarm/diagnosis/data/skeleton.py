@@ -15,6 +15,8 @@ from softarm.diagnosis.data.trials import Array, Series, TrialError
 
 # Distance at which an error of an orientation counts as much as one of a position.
 LEVER_M = 0.1
+# Largest error of the points, as a share of the reach.
+MISFIT = 0.02
 # Gauss-Newton steps at most, longest step, and step at which they end, rad or m; damping of a step, m^2/rad^2.
 STEPS_MOST, STEP_MOST, STEP_LEAST, DAMPING = 30, 0.3, 1e-7, 1e-9
 # Starts of the search for poses; poses fit alike up to this ratio of their errors, beside an error in m.
@@ -32,6 +34,7 @@ class Point:
     number: int
     is_site: bool
     turns: bool  # whether its orientation is tracked
+    is_fixed: bool  # whether no joint moves it
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ class Skeleton:
         joints: their names.
         units: their units, rad or m.
         points: the tracked points.
-        reach_m: largest distance of a tracked point from the first joint in the model's zero.
+        reach_m: largest distance of a moved point from the first joint in the model's zero.
     """
 
     def __init__(self, path: Path, columns: Collection[str], known: Collection[str] = ()) -> None:
@@ -76,8 +79,7 @@ class Skeleton:
         self._data = self._mujoco.MjData(self._model)
         self.points = tuple(self._points(columns))
         model, kinds = self._model, self._mujoco.mjtJoint
-        bodies = [int(model.site_bodyid[p.number]) if p.is_site else p.number for p in self.points]
-        carriers = {joint for body in bodies for joint in mjcf.carriers(model, body)}
+        carriers = {joint for point in self.points for joint in self._carriers(point.number, point.is_site)}
         self._columns = mjcf.columns_of_joints(self._mujoco, model)
         numbers = [j for j in sorted(carriers) if not {*self._columns[j]} <= {*known}]
         self._refuse(carriers, numbers)
@@ -101,6 +103,20 @@ class Skeleton:
         ]
         turned = np.stack(turns, axis=1)
         return Tracked(np.array(places).transpose(2, 0, 1), turned / np.linalg.norm(turned, axis=2, keepdims=True))
+
+    def at_zero(self, point: Point) -> tuple[Array, Array]:
+        """Return the position [3], m, and the axes, columns of [3, 3], of a point in the model's zero."""
+        self._put(self._model.qpos0, self._model.qpos0[self._at])
+        place, axes = self._frame(point)
+        return place.copy(), axes.reshape(3, 3).copy()
+
+    def turned(self, turn: Array, quaternions: Array) -> Array:
+        """Return quaternions [T, 4] after a rotation [3, 3]."""
+        first, found = np.empty(4), np.empty_like(quaternions)
+        self._mujoco.mju_mat2Quat(first, turn.ravel())
+        for row, quaternion in zip(found, quaternions, strict=True):
+            self._mujoco.mju_mulQuat(row, first, quaternion)
+        return found
 
     def around(self, t_s: Array, known: Iterable[Series], where: Path) -> Array:
         """Return the positions of the model's other joints at some times, qpos [T, nq].
@@ -196,7 +212,12 @@ class Skeleton:
                 )
             if 0 < len(of & _TURN) < len(_TURN):
                 raise TrialError(f"{self._path}: the orientation of {name} needs {name}_qw to {name}_qz; name all four")
-            yield Point(name, site if site >= 0 else body, site >= 0, of >= _TURN)
+            number, is_site = (site, True) if site >= 0 else (body, False)
+            yield Point(name, number, is_site, of >= _TURN, not {*self._carriers(number, is_site)})
+
+    def _carriers(self, number: int, is_site: bool) -> Iterator[int]:
+        """Return the joints that move a site or body."""
+        return mjcf.carriers(self._model, int(self._model.site_bodyid[number]) if is_site else number)
 
     def _refuse(self, carriers: Collection[int], numbers: Collection[int]) -> None:
         """Raise TrialError if no joint of unknown position moves the points, or one cannot be determined.
@@ -257,6 +278,8 @@ class Skeleton:
         errors, rows = [], []
         moves, rotates = np.empty((3, self._model.nv)), np.empty((3, self._model.nv))
         for place, turn, point in zip(places, turns, self.points, strict=True):
+            if point.is_fixed:
+                continue
             jacobian = self._mujoco.mj_jacSite if point.is_site else self._mujoco.mj_jacBody
             jacobian(self._model, self._data, moves, rotates, point.number)
             (at, axes), seen = self._frame(point), np.isfinite(place)
@@ -284,6 +307,6 @@ class Skeleton:
 
     def _reach_m(self) -> float:
         """Return the largest distance of a tracked point from the first joint in the model's zero, or LEVER_M."""
-        self._put(self._model.qpos0, self._model.qpos0[self._at])
+        moved = [self.at_zero(point)[0] for point in self.points if not point.is_fixed]
         start = self._data.xanchor[self._model.dof_jntid[self._dofs[0]]]
-        return max(LEVER_M, *(float(np.linalg.norm(self._frame(p)[0] - start)) for p in self.points))
+        return max(LEVER_M, *(float(np.linalg.norm(place - start)) for place in moved))

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
@@ -112,7 +112,8 @@ def _used(
     if carriers - found.get("measured", {}).keys() - found.get("base", {}).keys():
         found["mocap"] = _coordinates(draft, tracked)
         found["command"] = {**found.get("command", {}), **unseen}
-        draft.notes.append("Tracked points have to be in the model's frame")
+        if all(places[name.rpartition("_")[0]] for name in tracked):
+            draft.notes.append("Tracked points have to be in the model's frame, since none is fixed to its base")
     return {channel: columns for channel, columns in found.items() if columns}
 
 
@@ -151,15 +152,20 @@ def named(survey: Survey, joints: Sequence[ModelJoint]) -> Survey:
     return replace(survey, signals=tuple(map(read, survey.signals)))
 
 
-def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Iterable[str]) -> dict[str, Signal]:
-    """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw."""
+def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Mapping[str, Collection[str]]) -> dict[str, Signal]:
+    """Return the columns of tracked points by their names in a stage file, such as tip_x and tip_qw.
+
+    They change, except those of points that no joint moves.
+    """
     known = {_plain(name): name for name in sorted(places, key=len)}
     others = {name for joint in joints for name in _names(joint)}
     found = dict[str, Signal]()
-    for signal in draft.moving:
+    for signal in draft.readings:
         header = _plain(signal.header.name)
         place = max((name for name in known if header.startswith(name)), key=len, default="")
         part = _PART.fullmatch(header.removeprefix(place))
+        if place and signal.is_constant and places[known[place]]:
+            continue
         if place and part and header not in others and not signal.elements:
             found[f"{known[place]}_{part['place'] or 'q' + part['turn']}"] = signal
     return found

@@ -102,9 +102,8 @@ class Draft:
         self.units = {s.label: unit for s in survey.signals if (unit := self._answered(s))}
         self.times = self._times()
         taken = {each.label for own in self.times.values() for each in own}
-        self.moving = [
-            s for s in survey.signals if not (s.is_constant or s.label in taken or s.dates or s.header.role == "time")
-        ]
+        self.readings = [s for s in survey.signals if not (s.label in taken or s.dates or s.header.role == "time")]
+        self.moving = [s for s in self.readings if not s.is_constant]
         self.notes: list[str] = []
         self.by_group = {k: self.clock(next(s for s in survey.signals if s.group == k)) for k in self.times}
 

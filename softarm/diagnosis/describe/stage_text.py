@@ -21,7 +21,7 @@ _CHANNELS = {
     "force": "what moves the mass: force, torque, current or voltage",
     "torque": "torques of the joints, commanded or measured",
     "measured": "what the sensors show",
-    "mocap": "coordinates of sites and bodies by motion capture, in the model's frame",
+    "mocap": "coordinates of sites and bodies by motion capture",
     "base": "position of the cart that carries the first joint",
 }
 _MOVED = "joints that are moved from outside or follow another, and poses of floating bodies"

@@ -11,6 +11,7 @@ import yaml
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from softarm.cli.main import main
 from softarm.diagnosis.data import mocap, tables
@@ -20,6 +21,8 @@ from softarm.diagnosis.data.trials import Series, TrialError
 # A turret, an upper arm and a forearm, and a carriage that carries them.
 ARM = """
 <mujoco><compiler angle="radian"/><worldbody>
+<site name="left" pos="-.5 0 .1"/><site name="right" pos=".5 .1 0"/><site name="back" pos="0 .6 .3"/>
+<body name="rack" pos="0 -.5 .2" euler=".1 .2 .3"><geom size=".01"/></body>
 <body name="carriage"><joint name="rail" type="slide" axis="1 0 0" range="-1 1"/><geom size=".1"/>
 <body name="turret" pos="0 0 .2"><joint name="yaw" axis="0 0 1" range="-1.5 1.5"/><geom size=".05"/>
 <body name="upper" pos="0 0 .1"><joint name="shoulder" axis="0 1 0" range="-1.5 1.5"/>
@@ -121,7 +124,7 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["tips_x"], "no site or body tips; did you mean tip.? the model has elbow_marker, tip, carriage,"),
+        (["tips_x"], "no site or body tips; did you mean tip.? the model has left, right, back, elbow_marker,"),
         (["tip_u"], "tip_u is no coordinate; name the columns of a site or body NAME_x"),
         (["fore_x", "fore_qw", "fore_qx"], "the orientation of fore needs fore_qw to fore_qz"),
     ],
@@ -241,6 +244,57 @@ def test_readings_of_another_rate_are_known_between_their_rows(model):
     assert found["elbow"] == pytest.approx(true[inside, 3], abs=1e-5)
 
 
+def in_another_frame(columns, wrong=None):
+    """Return coordinates in a frame with y upwards that is turned and shifted as well; wrong: a point, 0.1 m off."""
+    turn, shift = Rotation.from_euler("xzy", (-np.pi / 2, 0.4, 0.1)), np.array([1.0, 0.3, -2.0])
+    found = dict(columns)
+    for name in {column.rpartition("_")[0] for column in columns}:
+        place = turn.apply(np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=1)) + shift
+        found |= {f"{name}_{axis}": x + 0.1 * (name == wrong) for axis, x in zip("xyz", place.T, strict=True)}
+        if f"{name}_qw" in columns:
+            quaternion = np.stack([columns[f"{name}_q{part}"] for part in "wxyz"], axis=1)
+            turned = (turn * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(scalar_first=True)
+            found |= {f"{name}_q{part}": x for part, x in zip("wxyz", turned.T, strict=True)}
+    return found
+
+
+@pytest.mark.parametrize("fixed", [("left", "right", "back"), ("rack+",)])
+@pytest.mark.parametrize("moved", [("tip", "elbow_marker"), ("fore+",)])
+def test_fixed_points_show_the_frame_of_motion_capture(model, fixed, moved):
+    file, true = model(), motion()
+    found = solved(file, in_another_frame(tracked(file, true, (*moved, *fixed))))
+    for name, of in zip(JOINTS, true.T, strict=True):
+        assert found[name] == pytest.approx(of, abs=1e-6)
+
+
+@pytest.mark.parametrize("fixed", [("left", "right"), ("rack",), ()])
+def test_with_fewer_fixed_points_coordinates_have_to_be_in_the_frame_of_the_model(model, fixed):
+    file, true = model(), motion()
+    columns = tracked(file, true, ("tip", "elbow_marker", *fixed))
+    assert solved(file, columns)["elbow"] == pytest.approx(true[:, 3], abs=1e-6)
+    with pytest.raises(
+        TrialError, match=r"the tracked points differ by .* that origin and axes are those of the model"
+    ):
+        solved(file, in_another_frame(columns))
+
+
+def test_a_fixed_point_that_is_elsewhere_is_refused(model):
+    file = model()
+    columns = tracked(file, motion(), ("tip", "elbow_marker", "left", "right", "back"))
+    with pytest.raises(
+        TrialError, match=r"run.csv: the fixed points left, right, back differ by 0\.\d+ m from the model"
+    ):
+        solved(file, in_another_frame(columns, wrong="left"))
+
+
+def test_a_point_without_a_coordinate_is_not_turned(model):
+    file = model()
+    columns = tracked(file, motion(), ("tip", "elbow_marker", "left", "right", "back"))
+    del columns["tip_y"]
+    with pytest.raises(TrialError, match=r"run.csv: tip lacks a coordinate, .* leave the fixed points out"):
+        solved(file, columns)
+
+
 @pytest.mark.parametrize("late_s", [0.03, -0.012])
 def test_stamps_of_motion_capture_that_are_late_beside_encoders_are_corrected(model, late_s):
     file, true = model(), motion()
@@ -286,15 +340,18 @@ def test_encoders_and_tracked_joints_have_the_stamps_of_the_slower_ones(encoder_
     assert joints["rail"] == pytest.approx(3 * joints.t_s)
 
 
-def described(folder, encoders=()):
+def described(folder, encoders=(), fixed=()):
     """Return the description of two recordings of tracked points in mm, 0.1 mm off, and what its command printed.
 
-    encoders: joints that have a column of their own.
+    encoders: joints that have a column of their own. fixed: tracked points of the base, which show another frame.
     """
     file = write(folder)
     for number, mean in enumerate((0.8, 1.2), 1):
         true = motion(elbow=(mean, 0.6))
-        columns = {name: 1e3 * x for name, x in tracked(file, true, ("tip", "elbow_marker"), 1e-4).items()}
+        seen = tracked(file, true, ("tip", "elbow_marker"), 1e-4)
+        if fixed:
+            seen = in_another_frame(seen | tracked(file, true, fixed))
+        columns = {name: 1e3 * x for name, x in seen.items()}
         columns |= {f"{name}_servo": x for name, x in zip(JOINTS[1:], true[:, 1:].T, strict=True)}
         columns |= {name: true[:, JOINTS.index(name)] for name in encoders}
         table = np.stack([T, *columns.values()], axis=1)
@@ -337,6 +394,16 @@ def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path)
     elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
     assert elbow.channels["measured"].columns.keys() == {*JOINTS}
     assert elbow.channels["measured"]["rail"] == pytest.approx(motion()[:, 0])
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+
+
+@pytest.mark.slow
+def test_fixed_points_are_found_though_they_never_move(tmp_path):
+    file, result = described(tmp_path, fixed=("left", "right", "back"))
+    assert result.exit_code == 0, result.output
+    assert "in the model's frame" not in file.read_text()
+    assert len(yaml.safe_load(file.read_text())["channels"]["mocap"]["columns"]) == 15
+    elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
 
 
