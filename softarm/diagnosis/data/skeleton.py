@@ -17,8 +17,9 @@ from softarm.diagnosis.data.trials import Array, Series, TrialError
 LEVER_M = 0.1
 # Largest error of the points, as a share of the reach.
 MISFIT = 0.02
-# Gauss-Newton steps at most, longest step, and step at which they end, rad or m; damping of a step, m^2/rad^2.
-STEPS_MOST, STEP_MOST, STEP_LEAST, DAMPING = 30, 0.3, 1e-7, 1e-9
+# Gauss-Newton steps at most, longest step, and last step, rad or m, after which the error is about its square; damping
+# of a step, m^2/rad^2.
+STEPS_MOST, STEP_MOST, STEP_LEAST, DAMPING = 30, 0.3, 1e-5, 1e-9
 # Starts of the search for poses; poses fit alike up to this ratio of their errors, beside an error in m.
 STARTS, ALIKE, ALIKE_M = 24, 2.0, 1e-4
 # Range in which a joint without a limit is sought, rad or m, and distance by which poses may exceed a limit.
@@ -79,6 +80,8 @@ class Skeleton:
         self._data = self._mujoco.MjData(self._model)
         self.points = tuple(self._points(columns))
         model, kinds = self._model, self._mujoco.mjtJoint
+        self._moved = [k for k, point in enumerate(self.points) if not point.is_fixed]
+        self._jacobians = np.empty((2, len(self._moved), 3, model.nv))
         carriers = {joint for point in self.points for joint in self._carriers(point.number, point.is_site)}
         self._columns = mjcf.columns_of_joints(self._mujoco, model)
         numbers = [j for j in sorted(carriers) if not {*self._columns[j]} <= {*known}]
@@ -143,7 +146,7 @@ class Skeleton:
         return qpos
 
     def followed(self, seen: Tracked, qpos: Array, start: int, near: Array, most_m: float) -> Poses:
-        """Return the pose of each row, solved from that of the last row that fits.
+        """Return the pose of each row, solved from those of the last two rows, or of the last one that fits.
 
         Args:
             seen: readings of R rows.
@@ -154,10 +157,12 @@ class Skeleton:
         """
         found: list[tuple[Array, float, float]] = [(near, 0.0, 0.0)] * len(qpos)
         for rows in (range(start, len(qpos)), range(start, -1, -1)):
-            last = near
+            last, change = near, np.zeros_like(near)
             for row in rows:
-                found[row] = self._solved(seen.places[row], seen.turns[row], qpos[row], last)
-                last = found[row][0] if found[row][1] < most_m else last
+                found[row] = pose, error_m, _ = self._solved(
+                    seen.places[row], seen.turns[row], qpos[row], last + change
+                )
+                last, change = (pose, pose - last) if error_m < most_m else (last, np.zeros_like(near))
         return Poses(*map(np.array, zip(*found, strict=True)))
 
     def refined(self, seen: Tracked, qpos: Array, near: Array) -> Poses:
@@ -266,8 +271,10 @@ class Skeleton:
             step = np.linalg.solve(jacobian.T @ jacobian + damping, jacobian.T @ errors)
             found = found + step * min(1.0, STEP_MOST / max(float(np.abs(step).max()), 1e-300))
             if np.abs(step).max() < STEP_LEAST:
+                errors = errors - jacobian @ step
                 break
-        errors, jacobian = self._errors(places, turns, qpos, found)
+        else:
+            errors, jacobian = self._errors(places, turns, qpos, found)
         least = float(np.linalg.eigvalsh(jacobian.T @ jacobian)[0])
         return found, float(np.sqrt(np.mean(errors**2))), float(np.sqrt(max(least, 0.0)))
 
@@ -275,23 +282,23 @@ class Skeleton:
         """Return measured minus predicted coordinates at a pose [E], m, and the Jacobian of the predicted [E, J]."""
         self._put(qpos, pose)
         self._mujoco.mj_comPos(self._model, self._data)
-        errors, rows = [], []
-        moves, rotates = np.empty((3, self._model.nv)), np.empty((3, self._model.nv))
-        for place, turn, point in zip(places, turns, self.points, strict=True):
-            if point.is_fixed:
-                continue
+        at, (moves, rotates) = np.empty((len(self._moved), 3)), self._jacobians
+        turned, turning = [], []
+        for k, number in enumerate(self._moved):
+            point = self.points[number]
             jacobian = self._mujoco.mj_jacSite if point.is_site else self._mujoco.mj_jacBody
-            jacobian(self._model, self._data, moves, rotates, point.number)
-            (at, axes), seen = self._frame(point), np.isfinite(place)
-            errors.append((place - at)[seen])
-            rows.append(moves[seen][:, self._dofs])
+            jacobian(self._model, self._data, moves[k], rotates[k], point.number)
+            at[k], axes = self._frame(point)
             if point.turns:
                 now, way = np.empty(4), np.empty(3)
                 self._mujoco.mju_mat2Quat(now, axes)
-                self._mujoco.mju_subQuat(way, turn, now)
-                errors.append(LEVER_M * (axes.reshape(3, 3) @ way))
-                rows.append(LEVER_M * rotates[:, self._dofs])
-        return np.concatenate(errors), np.concatenate(rows)
+                self._mujoco.mju_subQuat(way, turns[number], now)
+                turned.append(LEVER_M * (axes.reshape(3, 3) @ way))
+                turning.append(LEVER_M * rotates[k])
+        errors = places[self._moved] - at
+        seen = np.isfinite(errors)
+        rows = np.concatenate((moves[seen], *turning))
+        return np.concatenate((errors[seen], *turned)), rows[:, self._dofs]
 
     def _put(self, qpos: Array, pose: Array) -> None:
         """Compute the model's geometry in a pose."""
