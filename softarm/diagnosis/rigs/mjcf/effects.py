@@ -82,6 +82,7 @@ class JointScales:
     payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
     moving_kg: float  # mass of the mechanism without its fixed base
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
+    either_side: bool  # whether a payload may be on the other side of that joint than the link's centre of mass
     carries: bool  # another joint follows, so that the length of the link matters
     tilts: tuple[str, ...]  # horizontal axes about which a tilt of the base loads the joint
     inertia: float  # of the joint
@@ -303,7 +304,7 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
     if math.isfinite(s.payload):
         far, along, across = s.reach, "from the last joint, along its link", "across the link"
         place = (
-            shape("distance", "m", far, 0.0, 2 * far, far, along),
+            shape("distance", "m", far, -2 * far * s.either_side, 2 * far, far, along),
             *(shape(axis, "m", 0.0, -2 * far, 2 * far, far, across) for axis in PLACE[1:]),
         )
         full = max(s.payload, CARRIED * s.moving_kg)

@@ -12,6 +12,9 @@ from softarm.diagnosis.engine.view import Array
 SHORTEST_M = 1e-3
 # Most links of a finger; an arm of a humanoid has more. Two fingers have at most this ratio of masses.
 FINGER_LINKS, FINGER_RATIO = 2, 2.0
+# Least usual distance of a payload from the last joint, as a share of the mechanism's length: a tool is longer than the
+# flange that carries it.
+TOOL = 0.1
 # Parameters of a payload's place, one for each axis of its link.
 PLACE = "distance", "y", "z"
 
@@ -24,7 +27,8 @@ class Link:
     body: str  # its name
     start: Array  # [3] place of the joint, m
     axes: Array  # [3, 3] in rows: towards the link's centre of mass, and two across; 0 for a balanced link
-    reach_m: float  # distance from the start to the centre of mass of the link or its fingers; 0 for a balanced link
+    reach_m: float  # usual distance of a payload from the start; 0 for a balanced link
+    is_short: bool = False  # a flange, whose centre of mass does not show on which side a tool is
 
     def place(self, at_m: Sequence[float]) -> Array:
         """Return a place in the frame of the body, [3]; at_m: distances from the start along the three axes."""
@@ -58,7 +62,8 @@ class Links:
         axes = np.stack((direction, across, np.cross(direction, across)))
         fingers = [] if root == tip else [self._from(root, data.subtree_com[each]) for each in self._next(root)]
         reaches = [distance, *(float((at - start) @ direction) for at in fingers)]
-        return Link(root, name, start, axes, max(reaches))
+        tool = TOOL * self._length(root)
+        return Link(root, name, start, axes, max(*reaches, tool), is_short=max(reaches) < tool)
 
     def lines(self, positions: Array) -> Array:
         """Return lines from each body to the next ones, and through the centres of mass of the last ones.
@@ -130,6 +135,14 @@ class Links:
         while following := self._next(tip):
             tip, links = following[0], links + len(following)
         return links <= FINGER_LINKS and bool(masses.max() < FINGER_RATIO * masses.min())
+
+    def _length(self, body: int) -> float:
+        """Return the length of a mechanism from its first joint to a body, along its bodies, m."""
+        model, found = self._model, 0.0
+        while self._link(int(model.body_parentid[body])):
+            found += float(np.linalg.norm(model.body_pos[body]))
+            body = int(model.body_parentid[body])
+        return found
 
     def _link(self, body: int) -> int:
         """Return the first body of a body's link."""

@@ -365,6 +365,7 @@ class JointView(RigView):
             payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
             moving_kg=self._mechanism.moving_kg(joint),
             reach=2 * slopes.reach_m,
+            either_side=self._mechanism.last_link(self._joint).is_short,
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
             inertia=inertia,

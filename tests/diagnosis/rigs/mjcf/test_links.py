@@ -52,3 +52,24 @@ def test_a_palm_reaches_as_far_as_its_fingers():
     assert palm.reach_m == pytest.approx(0.15)
     assert palm.place((0.15, 0.0, 0.0)) == pytest.approx([0.0, 0.0, -0.15])
     assert palm.axes @ palm.axes.T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+FLANGE = """<mujoco><worldbody><body name="base"><geom size=".1"/>
+<body name="upper" pos="0 0 .3"><joint name="shoulder" axis="0 1 0"/>
+<geom type="capsule" size=".04" fromto="0 0 0 0 0 .5"/>
+<body name="fore" pos="0 0 .5"><joint name="elbow" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 0 0 .4"/>
+<body name="flange" pos="0 0 .4"><joint name="roll" axis="0 0 1"/>
+<inertial pos="0 0 -.02" mass=".3" diaginertia="1e-4 1e-4 1e-4"/></body></body></body></body></worldbody></mujoco>"""
+
+
+def test_a_tool_is_sought_at_a_tenth_of_the_arm_on_either_side_of_a_short_flange(tmp_path):
+    """A tool 0.2 m beyond the last joint of an iiwa was out of range, and six numbers of the arm were named instead."""
+    file = tmp_path / "arm.xml"
+    file.write_text(FLANGE)
+    robot = Mechanism(file)
+    for joint in robot.joints.values():
+        assert robot.last_link(joint).reach_m == pytest.approx(0.09)  # of 0.5 and 0.4 m
+        assert robot.last_link(joint).is_short
+    file.write_text(FLANGE.replace('pos="0 0 -.02" mass', 'pos="0 0 .1" mass'))
+    link = Mechanism(file).last_link(robot.joint("elbow"))
+    assert (link.reach_m, link.is_short) == (pytest.approx(0.1), False)
