@@ -73,6 +73,7 @@ _REALITY = tuple(f"softarm/reality/{name}.py" for name in _ROBOT)  # the indepen
 _BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", *_REALITY)
 _ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
 _DAEMON = "validation/daemon_process.py"
+_REAL_ARM = tuple(f"benchmarks/{name}.py" for name in ("arm_recordings", "pace", "real_arm"))
 
 # Result name, or the part of it before the first hyphen -> the paths whose change may change the figures.
 DEPENDS: Mapping[str, tuple[str, ...]] = {
@@ -100,7 +101,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "needs": _PLANNING,
     "planning": (*_PLANNING, "benchmarks/planning.py"),
-    "real": (*_ENGINE, "softarm/diagnosis/rigs", "benchmarks/real_arm.py"),
+    "real": (*_ENGINE, "softarm/diagnosis/rigs", *_REAL_ARM),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),

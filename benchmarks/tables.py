@@ -368,19 +368,23 @@ def replanning(read: Read) -> str:
 
 
 def real_arm(read: Read) -> str:
-    """Return the errors of three models on held-out recordings of a real arm, and the times of the fits."""
+    """Return the errors of all models on held-out recordings of a real arm, mrad, and the times of the fits."""
     found = read("real-arm")["held_out"]
-    models = ("public", "sysid", "diagnosis")
+    models = {
+        "public": "public model",
+        "sysid": "mujoco.sysid",
+        "pace": "PACE",
+        "pace_gains": "PACE, with gains",
+        "diagnosis": "diagnosis",
+    }
     joints = list(next(iter(found.values()))["public_rad"])
-    rows = [
-        (name, *(" / ".join(f"{1000 * row[f'{model}_rad'][joint]:.0f}" for model in models) for joint in joints))
-        for name, row in found.items()
-    ]
-    seconds = " / ".join(
-        f"{np.mean([row[f'{model}_s']['wall'] for row in found.values()]):.0f}" for model in models[1:]
-    )
-    head = ("held-out recording", *(f"{joint} (mrad)" for joint in joints))
-    return f"{markdown(head, rows)}\nMean time of the fit on two cores, mujoco.sysid / diagnosis: {seconds} s.\n"
+    rows = []
+    for name, row in found.items():
+        for model, label in models.items():
+            errors = [1000 * row[f"{model}_rad"][joint] for joint in joints]
+            seconds = f"{row[f'{model}_s']['processor']:.0f}" if model != "public" else "-"
+            rows.append((name, label, *(f"{error:.0f}" for error in (*errors, np.mean(errors))), seconds))
+    return markdown(("held-out recording", "fit", *joints, "mean", "processor time (s)"), rows)
 
 
 def closing(read: Read) -> str:
