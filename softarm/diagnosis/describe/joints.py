@@ -78,8 +78,9 @@ def propose(
     if not (found.get("measured") or found.get("mocap")):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}
-    why = f"{len(found['measured'])} joints of the model are measured" if "measured" in found else "points are tracked"
-    return Proposal("mujoco", why, 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
+    reasons = [f"{len(found['measured'])} joints of the model are measured"] if found.get("measured") else []
+    reasons += ["points are tracked"] if "mocap" in found else []
+    return Proposal("mujoco", " and ".join(reasons), 1, None, found, stamps, {}, {"mjcf": model}, draft.notes)
 
 
 def _used(

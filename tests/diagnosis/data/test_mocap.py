@@ -391,6 +391,7 @@ def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path)
     channels = yaml.safe_load(file.read_text())["channels"]
     assert channels.keys() == {"measured", "mocap", "command"}
     assert [*channels["measured"]["columns"]] == ["rail"]
+    assert "(1 joints of the model are measured and points are tracked)" in file.read_text()
     elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
     assert elbow.channels["measured"].columns.keys() == {*JOINTS}
     assert elbow.channels["measured"]["rail"] == pytest.approx(motion()[:, 0])

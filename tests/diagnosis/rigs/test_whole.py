@@ -136,7 +136,7 @@ def test_one_heavier_body_is_named_at_all_joints_that_it_loads(tmp_path):
         assert 0 < size.low < 1.2 < size.high
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_body_that_all_joints_leave_open_is_listed_beside_the_effect_of_one_joint(tmp_path):
     """The wrist of a gripper with a finger of 1.88 times its mass had been a heavier hand, with a confidence."""
     own = by_joint(tmp_path, "gripper", Truth({}, masses={"left": 1.88}))
