@@ -24,7 +24,7 @@ LOST, APART = 0.05, 0.05
 UNDETERMINED, NEARLY = 1e-3, 0.3
 # Delay of motion capture beside other readings: rows that show it, steps of the search, step of the difference
 # quotient, least and largest result, s, and ratio of the squared errors with and without it below which it counts.
-LATE_ROWS, LATE_STEPS, LATE_NUDGE_S, LATE_LEAST_S, LATE_MOST_S, LESS = 200, 4, 0.002, 1e-4, 0.2, 0.9
+LATE_ROWS, LATE_STEPS, LATE_NUDGE_S, LATE_LEAST_S, LATE_MOST_S, LATE_RATIO = 200, 4, 0.002, 1e-4, 0.2, 0.9
 
 
 def skeleton_of(stage: Stage, base: Path) -> Skeleton | None:
@@ -146,7 +146,7 @@ def _late_s(skeleton: Skeleton, mocap: Series, known: Sequence[Series], found: P
         if (bend := below - 2 * at + above) <= 0:
             return 0.0
         late_s = float(np.clip(late_s + LATE_NUDGE_S * (below - above) / (2 * bend), -LATE_MOST_S, LATE_MOST_S))
-    return late_s if LATE_LEAST_S < abs(late_s) < LATE_MOST_S and squared(late_s) < LESS * before else 0.0
+    return late_s if LATE_LEAST_S < abs(late_s) < LATE_MOST_S and squared(late_s) < LATE_RATIO * before else 0.0
 
 
 def joined(tracked: Series, encoders: Series, where: Path) -> Series:

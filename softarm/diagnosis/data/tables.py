@@ -138,8 +138,13 @@ def _read(
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
     if skeleton is not None:
-        tracked = channels.pop("mocap")
-        where, known = recording.files["mocap"], [channels[name] for name in ("measured", "base") if name in channels]
+        tracked, where = channels.pop("mocap"), recording.files["mocap"]
+        if "base" in missing:
+            raise TrialError(
+                f"{where}: trial {recording.name} names no file for the base channel; add it, since its joints may "
+                "carry the tracked points"
+            )
+        known = [channels[name] for name in ("measured", "base") if name in channels]
         measured, lost = mocap.positions(skeleton, tracked, known, where)
         if "measured" in channels:
             measured = mocap.joined(measured, channels["measured"], where)

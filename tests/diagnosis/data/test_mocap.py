@@ -409,6 +409,17 @@ def test_fixed_points_are_found_though_they_never_move(tmp_path):
 
 
 @pytest.mark.slow
+def test_points_on_a_moved_base_without_its_recording_are_refused(tmp_path):
+    file, _ = described(tmp_path, ["rail"])
+    stage = yaml.safe_load(file.read_text())
+    stage["channels"]["base"] = stage["channels"].pop("measured")
+    stage["trials"][0].update(files=dict.fromkeys(("mocap", "command"), "run-1.csv"))
+    file.write_text(yaml.safe_dump(stage))
+    with pytest.raises(TrialError, match=r"run-1.csv: trial run-1 names no file for the base channel; add it, since"):
+        tables.read(file)
+
+
+@pytest.mark.slow
 def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
     file, result = described(tmp_path, JOINTS)
     assert result.exit_code == 0, result.output
