@@ -208,7 +208,7 @@ def _judged(
         judgement = _named(effect, sized, chosen[common.name], stages, found)
         if judgement is not None:
             return judgement
-    if alike := _alike(common.name, chosen.values(), {stage: found[stage] for stage in stages}):
+    if alike := _alike(effect, common.name, chosen.values(), {stage: found[stage] for stage in stages}):
         what, names = effect.replace(MASS, "mass of "), ", ".join(name for own in alike.values() for name in own)
         return Judgement(effect, {}, f"the recordings cannot separate {what} from {names}", alike)
     if any(common.name in each.equivalents for each in chosen.values()):
@@ -225,11 +225,24 @@ def _judged(
     )
 
 
-def _alike(common: str, chosen: Iterable[SelectedEffect], found: Mapping[str, Finding]) -> dict[str, list[str]]:
-    """Return the named effects of stages that all stages together cannot separate from a common effect, by stage."""
+def _alike(
+    effect: str, common: str, chosen: Iterable[SelectedEffect], found: Mapping[str, Finding]
+) -> dict[str, list[str]]:
+    """Return the named effects of stages that all stages together cannot separate from another one, by stage.
+
+    Args:
+        effect: the other effect, which is none of the named ones nor of those that a stage cannot separate from them.
+        common: its candidate.
+        chosen: effects of the search over all stages.
+        found: finding of each stage on its own.
+    """
     classes = ({each.candidate.name, *each.equivalents} for each in chosen)
     same = {name for names in classes if common in names for name in names}
-    alike = {stage: [e.name for e in of.named if same & {e.name, *e.equivalents}] for stage, of in found.items()}
+    alike = {
+        stage: [e.name for e in of.named if same & {e.name, *e.equivalents}]
+        for stage, of in found.items()
+        if f"{stage}.{effect}" not in _names(of)
+    }
     return {stage: names for stage, names in alike.items() if names}
 
 

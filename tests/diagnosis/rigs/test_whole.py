@@ -306,6 +306,14 @@ def test_a_shared_tolerance_has_the_parameters_of_all_joints(monkeypatch):
     assert [n.path for n in found] == ["tilt.mass.scale", "base.tilt.x", "base.tilt.y"]
 
 
+@pytest.mark.parametrize(("equivalents", "alike"), [((), {"tilt": ["tilt.mass"]}), (("tilt.payload",), {})])
+def test_an_effect_is_listed_beside_named_ones_that_do_not_have_it(equivalents, alike):
+    named = SimpleNamespace(name="tilt.mass", equivalents=equivalents)
+    chosen = SimpleNamespace(candidate=SimpleNamespace(name="end camera.payload"), equivalents=("tilt.mass",))
+    found = {"tilt": SimpleNamespace(named=(named,)), "pan": SimpleNamespace(named=())}
+    assert whole._alike("payload", "end camera.payload", [chosen], found) == alike
+
+
 @pytest.mark.prove
 def test_an_answer_has_a_body_that_the_recordings_cannot_separate_from_a_joints_effect(tmp_path):
     trials = tables.read(mechanism(tmp_path, "gripper", Truth({}, masses={"left": 1.88}), 12.0))
