@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
@@ -47,6 +48,25 @@ def mechanism(folder, robot, truth, seconds=5.0, item=None):
         write(record(real, truth, kind, seconds, random), folder / f"{kind}-{number}.csv")
     shutil.copy(ROBOTS[robot].model, folder / "robot.xml")
     (folder / "stage.yaml").write_text(stage_text(ROBOTS[robot]))
+    return folder / "stage.yaml"
+
+
+def described(folder, model, **channels):
+    """Write the stage.yaml of a MuJoCo model and of tables with columns of its names, and return its path.
+
+    model: the model's file in the folder. channels: channel -> column -> unit.
+    """
+    time = {"source": "t", "unit": "s"}
+    stage = {
+        "kind": "mujoco",
+        "channels": {
+            channel: {"time": time, "columns": {name: {"source": name, "unit": unit} for name, unit in columns.items()}}
+            for channel, columns in channels.items()
+        },
+        "model": {"mjcf": model},
+        "trials": [{"files": "*.csv"}],
+    }
+    (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
     return folder / "stage.yaml"
 
 

@@ -8,6 +8,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.settling import chosen_law, common_law, is_other_law
 from softarm.diagnosis.rigs.stage import examine
+from tests.diagnosis.rigs.recordings import described
 
 # Energies per sample with the usual law, with friction that creeps, and with the steps of a simulation as well.
 HEALTHY, FAULTY = (1.18, 1.17, 0.97), (2.2, 2.0, 2.0)
@@ -76,14 +77,8 @@ def write(folder):
             mujoco.mj_step(model, data, nstep=round(1 / RATE_HZ / STEP_S))
         header = ",".join(("t", *names[0], *names[1]))
         np.savetxt(folder / f"motion-{seed}.csv", rows, "%.8g", delimiter=",", header=header, comments="")
-    channels = "\n".join(
-        f"  {channel}:\n    time: {{source: t, unit: s}}\n    columns:\n"
-        + "\n".join(f"      {name}: {{source: {name}, unit: rad}}" for name in own)
-        for channel, own in zip(("command", "measured"), names, strict=True)
-    )
-    trials = "model: {mjcf: robot.xml}\ntrials: [{files: 'motion*.csv'}]\n"
-    (folder / "stage.yaml").write_text(f"kind: mujoco\nchannels:\n{channels}\n{trials}")
-    return folder / "stage.yaml"
+    commanded, measured = (dict.fromkeys(own, "rad") for own in names)
+    return described(folder, "robot.xml", command=commanded, measured=measured)
 
 
 @pytest.mark.prove

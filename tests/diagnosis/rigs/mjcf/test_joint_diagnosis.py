@@ -27,7 +27,7 @@ from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
 from tests.diagnosis.rigs.mjcf.test_joint_law import HARD
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO as SERVO_MODEL
-from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, mechanism, shipped
+from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, described, mechanism, shipped
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
 GROUND = '<geom type="plane" size="2 2 0.1" pos="0.1 0 0" euler="0 -90 0"/>'
@@ -146,13 +146,8 @@ def test_an_upright_link_under_torque_commands_has_windows_in_which_errors_stay_
             rows.append(f"{data.time:.6g},{data.ctrl[0]:.6g},{np.round(data.qpos[0] / 1e-4) * 1e-4:.6g}")
         mujoco.mj_step(model, data)
     (tmp_path / "sines.csv").write_text("\n".join(rows))
-    (tmp_path / "stage.yaml").write_text(
-        "kind: mujoco\nchannels:\n"
-        "  measured: {time: {source: t, unit: s}, columns: {lean: {source: lean, unit: rad}}}\n"
-        '  command: {time: {source: t, unit: s}, columns: {drive: {source: drive, unit: "N m"}}}\n'
-        "model: {mjcf: robot.xml}\ntrials: [{files: sines.csv}]\n"
-    )
-    view, _ = view_of(tables.read(tmp_path / "stage.yaml"))
+    stage = described(tmp_path, "robot.xml", measured={"lean": "rad"}, command={"drive": "N m"})
+    view, _ = view_of(tables.read(stage))
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 2e-3
 
 
@@ -392,14 +387,8 @@ def hand(folder, dry, load="", *, noise=5e-4, wave=np.sin):
             rows.append((t, data.ctrl[0], data.qpos[0] + noise * random.normal(), np.round(data.qpos[1], 5)))
             mujoco.mj_step(model, data, nstep=10)
         np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
-    columns = "upper: {source: upper, unit: rad}, hand: {source: hand, unit: rad}"
-    (folder / "stage.yaml").write_text(
-        "kind: mujoco\nchannels:\n"
-        f"  measured: {{time: {{source: t, unit: s}}, columns: {{{columns}}}}}\n"
-        "  command: {time: {source: t, unit: s}, columns: {servo: {source: servo, unit: rad}}}\n"
-        "model: {mjcf: arm.xml}\ntrials: [{files: run-*.csv}]\n"
-    )
-    return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "hand"]
+    stage = described(folder, "arm.xml", measured={"upper": "rad", "hand": "rad"}, command={"servo": "rad"})
+    return [trial for trial in tables.read(stage) if trial.stage.name == "hand"]
 
 
 def test_the_floor_of_a_light_joint_holds_the_noise_of_the_joint_that_carries_it(tmp_path):

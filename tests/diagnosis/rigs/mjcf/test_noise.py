@@ -12,6 +12,7 @@ from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.noise import averaged, correlations, drawn, samples_averaged
 from softarm.diagnosis.rigs.stage import view_of
 from softarm.simulator import mjcf, model_file
+from tests.diagnosis.rigs.recordings import described
 
 LINKS = ("link2", "link3", "link4", "link5")
 
@@ -134,13 +135,8 @@ def test_averages_do_not_remove_the_rounding_of_a_coarse_encoder(tmp_path):
         rows.append((0.01 * k, data.ctrl[0], step * np.round(data.qpos[0] / step)))
         mujoco.mj_step(model, data, nstep=10)
     np.savetxt(tmp_path / "run-0.csv", rows, "%.6f", ",", header="t,motor,hinge", comments="")
-    (tmp_path / "stage.yaml").write_text(
-        "kind: mujoco\nchannels:\n"
-        "  measured: {time: {source: t, unit: s}, columns: {hinge: {source: hinge, unit: rad}}}\n"
-        "  command: {time: {source: t, unit: s}, columns: {motor: {source: motor, unit: N m}}}\n"
-        "model: {mjcf: pendulum.xml}\ntrials: [{files: run-*.csv}]\n"
-    )
-    view, _ = view_of(tables.read(tmp_path / "stage.yaml"))
+    stage = described(tmp_path, "pendulum.xml", measured={"hinge": "rad"}, command={"motor": "N m"})
+    view, _ = view_of(tables.read(stage))
     assert view.floor[0] > 0.9 * step / np.sqrt(12)
 
 

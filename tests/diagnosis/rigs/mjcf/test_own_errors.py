@@ -6,6 +6,7 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.stage import examine, view_of
+from tests.diagnosis.rigs.recordings import described
 
 pytestmark = pytest.mark.slow
 ROBOT = """<mujoco>
@@ -95,12 +96,7 @@ KNEE = {"step": 0.002, "damping": 7, "armature": 0.1, "mass": 1, "kp": 400}
 def servo(folder, sizes, dry):
     """Return the trials of a position loop that MuJoCo has moved; dry: friction besides the model's."""
     (folder / "robot.xml").write_text(SERVO.format(dry=0.02, **sizes))
-    channels = "\n".join(
-        f"  {channel}:\n    time: {{source: t, unit: s}}\n    columns: {{{name}: {{source: {name}, unit: rad}}}}"
-        for channel, name in (("measured", "elbow"), ("command", "servo"))
-    )
-    trials = "model: {mjcf: robot.xml}\ntrials: [{files: 'motion*.csv'}]\n"
-    (folder / "stage.yaml").write_text(f"kind: mujoco\nchannels:\n{channels}\n{trials}")
+    stage = described(folder, "robot.xml", measured={"elbow": "rad"}, command={"servo": "rad"})
     model, t = mujoco.MjModel.from_xml_string(SERVO.format(dry=0.02 + dry, **sizes)), np.arange(1200) / 100
     for seed in range(3):
         data, random = mujoco.MjData(model), np.random.default_rng(seed)
@@ -112,7 +108,7 @@ def servo(folder, sizes, dry):
             mujoco.mj_step(model, data, nstep=round(0.01 / model.opt.timestep))
         file = folder / f"motion-{seed}.csv"
         np.savetxt(file, rows, "%.7g", delimiter=",", header="t,servo,elbow", comments="")
-    return tables.read(folder / "stage.yaml")
+    return tables.read(stage)
 
 
 @pytest.mark.parametrize(
