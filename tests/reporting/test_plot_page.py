@@ -39,7 +39,23 @@ def seen(page):
     return tuple(map(float, found.groups()))
 
 
-def test_the_words_state_the_residual_of_the_visible_time(page):
+# A copy is read, since Chromium advises against reading a canvas that it draws with the graphics card.
+DRAWN = """(colour) => {
+  const canvas = document.querySelector("#traces canvas");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) count += colour.every((part, k) => data[i + k] === part);
+  return count > 500;
+}"""
+
+
+def wait_for_curves_in(page, table):
+    page.wait_for_function(DRAWN, arg=[round(255 * part) for part in rgb(table["measured"])])
+
+
+def test_the_charts_obey_keyboard_and_pointer_and_have_the_colours_of_the_scheme_and_of_paper(page):
     assert seen(page) == (0.0, 10.0, pytest.approx(0.225, abs=0.002))
     assert "trial one, channel tip y (seed). RMS of measured minus simulated" in page.get_attribute(
         "#traces", "aria-label"
@@ -54,8 +70,6 @@ def test_the_words_state_the_residual_of_the_visible_time(page):
     page.keyboard.press("0")
     assert seen(page)[:2] == (0.0, 10.0)
 
-
-def test_a_drag_zooms_with_shift_it_moves_and_a_double_click_shows_all(page):
     box = page.locator("#traces .u-over").first.bounding_box()
 
     def drag(start, end):
@@ -73,25 +87,8 @@ def test_a_drag_zooms_with_shift_it_moves_and_a_double_click_shows_all(page):
     page.mouse.dblclick(box["x"] + 100, box["y"] + 50)
     assert seen(page)[:2] == (0.0, 10.0)
 
-
-# A copy is read, since Chromium advises against reading a canvas that it draws with the graphics card.
-DRAWN = """(colour) => {
-  const canvas = document.querySelector("#traces canvas");
-  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
-  copy.drawImage(canvas, 0, 0);
-  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
-  let count = 0;
-  for (let i = 0; i < data.length; i += 4) count += colour.every((part, k) => data[i + k] === part);
-  return count > 500;
-}"""
-
-
-def test_the_charts_have_the_colours_of_the_scheme_and_of_paper(page):
-    def wait_for_curves_in(table):
-        page.wait_for_function(DRAWN, arg=[round(255 * part) for part in rgb(table["measured"])])
-
-    wait_for_curves_in(LIGHT)
+    wait_for_curves_in(page, LIGHT)
     page.emulate_media(color_scheme="dark")
-    wait_for_curves_in(NIGHT)
+    wait_for_curves_in(page, NIGHT)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
-    wait_for_curves_in(LIGHT)
+    wait_for_curves_in(page, LIGHT)

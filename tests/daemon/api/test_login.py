@@ -1,5 +1,6 @@
 """Log-in from a browser by a token and then a cookie that no script or other site can use."""
 
+import itertools
 import json
 import re
 
@@ -41,13 +42,16 @@ def test_the_cookie_is_kept_from_scripts_other_sites_and_the_token(client):
     assert TOKENS["view_token_file"] not in answer.headers["set-cookie"]
 
 
-def test_a_logged_in_browser_needs_no_token(client, loop):
+def test_a_logged_in_browser_needs_no_token_and_a_token_needs_no_page(client, loop):
     page = logged_in(client)
     assert client.get("/api/status", headers=page).status_code == 200
     assert client.get("/api/status", headers={"Cookie": "a=b; " + page["Cookie"] + " ;c"}).status_code == 200
     assert client.get("/api/login", headers=page).json() == {"needed": True, "role": "command"}
     assert client.post("/api/arm", headers=page).status_code == 200
     assert loop.taken[-1].request.who == "the dashboard (command token)"
+    token = {"Authorization": f"Bearer {TOKENS['token_file']}"}  # needs no page
+    assert client.post("/api/arm", headers=token).status_code == 200
+    assert client.post("/api/arm", headers=page | {"Authorization": "Bearer wrong"}).status_code == 401
 
 
 def test_without_a_login_the_answer_says_so(client):
@@ -57,35 +61,30 @@ def test_without_a_login_the_answer_says_so(client):
     assert client.get("/api/login", headers=token).json()["role"] == "stop"
 
 
-@pytest.mark.parametrize(
-    ("key", "arm", "ticket"), [("token_file", 200, 200), ("view_token_file", 403, 200), ("stop_token_file", 403, 403)]
-)
-def test_a_login_has_the_role_of_its_token(client, key, arm, ticket):
-    page = logged_in(client, key)
-    may = {"/api/arm": arm, "/api/stop": 200, "/api/ticket": ticket, "/api/logout": 200}
-    assert {path: client.post(path, headers=page).status_code for path in may} == may
+def test_a_login_has_the_role_of_its_token(client):
+    rights = {"token_file": (200, 200), "view_token_file": (403, 200), "stop_token_file": (403, 403)}
+    for key, (arm, ticket) in rights.items():
+        page = logged_in(client, key)
+        may = {"/api/arm": arm, "/api/stop": 200, "/api/ticket": ticket, "/api/logout": 200}
+        assert {path: client.post(path, headers=page).status_code for path in may} == may, key
 
 
 FOREIGN = (None, "null", "http://evil.example", f"https://{HOST}", f"http://{HOST}:81", f"http://{HOST}.evil.example")
 
 
-@pytest.mark.parametrize("asked", ["POST /api/arm", "POST /api/stop", "DELETE /api/goal", "PUT /api/policy"])
-def test_a_change_by_cookie_must_come_from_a_page_of_this_api(client, loop, asked):
+CHANGES = ("POST /api/arm", "POST /api/stop", "DELETE /api/goal", "PUT /api/policy")
+
+
+def test_a_change_by_cookie_must_come_from_a_page_of_this_api(client, loop):
     page = logged_in(client)
-    for origin in FOREIGN:
+    for asked, origin in itertools.product(CHANGES, FOREIGN):
         headers = page | {"Origin": origin}
         headers = {name: value for name, value in headers.items() if value is not None}
         answer = client.request(*asked.split(), headers=headers)
-        assert answer.status_code == 403, origin
+        assert answer.status_code == 403, (asked, origin)
         assert "allowed are pages of this API" in answer.json()["detail"]
         assert loop.taken == []
         assert client.get("/api/login", headers=page).json()["role"] == "command"
-
-
-def test_a_token_in_the_header_needs_no_page(client):
-    token = {"Authorization": f"Bearer {TOKENS['token_file']}"}
-    assert client.post("/api/arm", headers=token).status_code == 200
-    assert client.post("/api/arm", headers=logged_in(client) | {"Authorization": "Bearer wrong"}).status_code == 401
 
 
 def test_another_site_cannot_log_a_browser_in(client):
@@ -95,21 +94,24 @@ def test_another_site_cannot_log_a_browser_in(client):
     assert client.post("/api/login", json=body).status_code == 200  # curl, which is no browser
 
 
-@pytest.mark.parametrize(
-    ("body", "status", "sentence"),
-    [
-        ({"token": "wrong" * 8}, 401, "the token is wrong: enter the text in the file of api.token_file"),
-        ({"token": "\ud800" * 20}, 401, "the token is wrong"),
-        ({"token": ""}, 401, "the token is wrong"),
-        ({}, 422, "token: missing; must be text: the token in the file of api.token_file"),
-        ({"token": 5}, 422, "token: must be text"),
-        ([], 422, "the body must be a JSON object"),
-    ],
+INVALID = (
+    ({"token": "wrong" * 8}, 401, "the token is wrong: enter the text in the file of api.token_file"),
+    ({"token": "\ud800" * 20}, 401, "the token is wrong"),
+    ({"token": ""}, 401, "the token is wrong"),
+    ({}, 422, "token: missing; must be text: the token in the file of api.token_file"),
+    ({"token": 5}, 422, "token: must be text"),
+    ([], 422, "the body must be a JSON object"),
 )
-def test_an_invalid_token_is_refused_with_the_next_step(client, body, status, sentence):
-    answer = client.post("/api/login", content=json.dumps(body), headers=PAGE | {"Content-Type": "application/json"})
-    assert (answer.status_code, answer.json()["detail"][: len(sentence)]) == (status, sentence)
-    assert "set-cookie" not in answer.headers
+
+
+def test_an_invalid_token_is_refused_with_the_next_step_and_never_repeated(client):
+    kind = {"Content-Type": "application/json"}
+    for body, status, sentence in INVALID:
+        answer = client.post("/api/login", content=json.dumps(body), headers=PAGE | kind)
+        assert (answer.status_code, answer.json()["detail"][: len(sentence)]) == (status, sentence)
+        assert "set-cookie" not in answer.headers
+    answer = client.post("/api/login", json={"tokens": TOKENS["token_file"]}, headers=PAGE)
+    assert TOKENS["token_file"] not in answer.text
 
 
 def test_wrong_tokens_are_logged_a_limited_number_of_times(client, caplog):
@@ -119,24 +121,15 @@ def test_wrong_tokens_are_logged_a_limited_number_of_times(client, caplog):
     assert "wrongwrong" not in caplog.text
 
 
-def test_a_refusal_never_repeats_a_token(client):
-    answer = client.post("/api/login", json={"tokens": TOKENS["token_file"]}, headers=PAGE)
-    assert TOKENS["token_file"] not in answer.text
-
-
-def test_logging_out_ends_it_for_the_browser_and_for_the_daemon(client):
-    page = logged_in(client)
-    answer = client.post("/api/logout", headers=page)
-    assert answer.json() == {"needed": True, "role": None}
-    assert answer.headers["set-cookie"].startswith("softarm-8080=; Path=/; Max-Age=0;")
-    assert client.get("/api/status", headers=page).status_code == 401
-
-
-def test_a_new_login_ends_the_old_one(client):
+def test_a_new_login_or_logging_out_ends_the_old_one(client):
     page = logged_in(client, "view_token_file")
     again = logged_in(client, **page)
     assert client.get("/api/status", headers=page).status_code == 401
     assert client.get("/api/login", headers=again).json()["role"] == "command"
+    answer = client.post("/api/logout", headers=again)
+    assert answer.json() == {"needed": True, "role": None}
+    assert answer.headers["set-cookie"].startswith("softarm-8080=; Path=/; Max-Age=0;")
+    assert client.get("/api/status", headers=again).status_code == 401
 
 
 def test_without_tokens_no_login_is_needed(loop, app, client_of):

@@ -140,6 +140,7 @@ class Watched:
         self._desk.set_offline(False)
         self._shared.unroute_all(behavior="ignoreErrors")
         self._shared.emulate_media(color_scheme="null", reduced_motion="null")
+        self._shared.set_viewport_size(SIZE)
         self._shared.mouse.move(0, 0)
 
     @staticmethod

@@ -76,7 +76,7 @@ def test_a_silent_connection_counts_as_lost_within_two_seconds(page, monkeypatch
 
 def test_a_chart_that_scrolls_into_view_has_the_newest_data(page, robot):
     tick = robot.status["tick"]
-    page.wait_for_function("(was) => Number(document.querySelector('#drawing svg').dataset.tick) > was + 60", arg=tick)
+    page.wait_for_function("(was) => Number(document.querySelector('#drawing svg').dataset.tick) > was + 30", arg=tick)
     page.locator("#pause").click()
     ages = page.locator(".plot", has_text="Age of readings").locator(".u-over")
     ages.scroll_into_view_if_needed()

@@ -21,7 +21,8 @@ def tab(page, name: str):
     return page.locator(f"#panel-{name}")
 
 
-def test_policies_are_listed_with_description_or_error(page, robot):
+# Over 3 s: two policies, each tried in a process of its own.
+def test_policies_are_listed_and_run_is_offered_for_one_without_target(page, robot):
     panel = tab(page, "policies")
     panel.locator("li").first.wait_for()
     listed = robot.client.get("/api/policies").json()["policies"]
@@ -29,6 +30,19 @@ def test_policies_are_listed_with_description_or_error(page, robot):
     assert panel.locator("li", has_text="in use").locator("b").inner_text() == "reach"
     broken = next(one for one in listed if one["error"])
     assert "cannot be used" in panel.locator("h3 + ul li.broken", has_text=broken["name"]).inner_text().lower()
+
+    assert page.locator("#do-run").is_hidden()
+    page.get_by_role("button", name="Use hold").click()
+    page.locator("#said >> text=Policy hold in use").wait_for()
+    page.locator("#do-run").wait_for()
+    robot.arm()
+    page.locator("#do-run[aria-disabled=false]").click()
+    page.wait_for_function("() => document.querySelector('#goal dd').textContent === 'run'")
+    assert robot.status["goal"]["goal"]["kind"] == "run"
+    robot.calm()
+    assert robot.client.put("/api/policy", json={"name": "reach"}, timeout=60).status_code == 200  # of another client
+    page.locator("#panel-policies li", has_text="in use").locator("b", has_text="reach").wait_for()
+    page.locator("#do-run").wait_for(state="hidden")
 
 
 @pytest.mark.prove
@@ -52,9 +66,32 @@ def test_choosing_a_policy_shades_its_range_and_draws_its_shelf(page, robot, pre
     robot.client.put("/api/policy", json={"name": "reach"})
 
 
-def test_new_events_appear_without_reload(page, robot):
+ROWS = """
+async () => {
+  const { el, update } = await import("/dashboard/view/dom.js");
+  const list = (...names) => el("ul", {}, names.map((name) => el("li", {}, name)));
+  const place = el("div", {}, list("flight", "recording", "old"));
+  const [flight, recording, old] = place.firstElementChild.children;
+  update(place, [list("newer", "recording", "flight")]);
+  const now = [...place.firstElementChild.children];
+  return [now.map((row) => row.textContent), now[1] === recording, now[2] === flight, old.isConnected];
+}
+"""
+
+
+def test_tabs_are_chosen_by_arrow_keys_and_events_and_goals_appear(page, robot, press):
+    page.locator("#panel-policies-tab").focus()
+    names = []
+    for _ in range(7):
+        page.keyboard.press("ArrowRight")
+        names.append(json.loads(page.evaluate("JSON.stringify(document.activeElement.textContent)")))
+        assert page.locator("[role=tab][aria-selected=true]").inner_text() == names[-1]
+        assert page.locator("[role=tabpanel]:visible").count() == 1
+    assert names == ["Goals", "Events", "Jobs", "Logs", "Incidents", "Reports", "Policies"]
+    assert page.evaluate(ROWS) == [["newer", "recording", "flight"], True, True, False]
+
     panel = tab(page, "events")
-    robot.ask("/api/arm")
+    robot.arm()
     panel.locator("li", has_text="Arm requested from the API").first.wait_for()
     newest = robot.client.get("/api/events").json()["events"][-1]["text"]
     panel.locator("li", has_text=newest[1:]).first.wait_for()
@@ -62,9 +99,6 @@ def test_new_events_appear_without_reload(page, robot):
     marks = page.evaluate(f"() => {rows}.map((row) => getComputedStyle(row).borderRadius)")
     assert set(marks) == {"0px"}  # events must not look like the mode's sign
 
-
-def test_goals_are_listed_with_their_outcome(page, robot, press):
-    robot.arm()
     before = robot.status["goal"]["number"]
     press(page, -0.22, 0.63)
     goal = robot.until(lambda now: now["goal"]["number"] > before and now["goal"]["state"] != "running")["goal"]
@@ -84,8 +118,23 @@ def flight(daemon):
     place.unlink(missing_ok=True)
 
 
-def test_a_log_is_downloaded_and_deleted(page, daemon, flight, tmp_path):
+def test_logs_are_downloaded_and_deleted_and_reports_opened(page, daemon, flight, tmp_path):
+    panel = tab(page, "reports")
+    panel.locator("text=No reports").wait_for()
+    folder = daemon.config.api.reports
+    folder.mkdir(exist_ok=True)
+    report = folder / "gap.html"
+    report.write_text("<!doctype html><title>gap</title><h1>The rail lags</h1>")
     panel = tab(page, "logs")
+    recording = panel.locator("li", has_text=daemon.recorder.path.name)
+    button = recording.get_by_role("button", name="Delete")
+    assert button.get_attribute("aria-disabled") == "true"
+    reason = recording.locator("text=This log is being recorded.")
+    while not reason.is_visible():  # the list that the tab loads may replace the row after a click
+        button.click(force=True)
+        page.wait_for_timeout(100)
+    assert daemon.recorder.path.exists()
+
     row = panel.locator("li", has_text="flight.mcap")
     with page.expect_download() as download:
         row.get_by_role("link", name="Download").click()
@@ -102,58 +151,12 @@ def test_a_log_is_downloaded_and_deleted(page, daemon, flight, tmp_path):
     row.wait_for(state="detached")
     assert not flight.exists()
 
-
-ROWS = """
-async () => {
-  const { el, update } = await import("/dashboard/view/dom.js");
-  const list = (...names) => el("ul", {}, names.map((name) => el("li", {}, name)));
-  const place = el("div", {}, list("flight", "recording", "old"));
-  const [flight, recording, old] = place.firstElementChild.children;
-  update(place, [list("newer", "recording", "flight")]);
-  const now = [...place.firstElementChild.children];
-  return [now.map((row) => row.textContent), now[1] === recording, now[2] === flight, old.isConnected];
-}
-"""
-
-
-def test_rows_that_change_places_stay_in_the_page(page):
-    assert page.evaluate(ROWS) == [["newer", "recording", "flight"], True, True, False]
-
-
-def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
-    panel = tab(page, "logs")
-    row = panel.locator("li", has_text=daemon.recorder.path.name)
-    button = row.get_by_role("button", name="Delete")
-    assert button.get_attribute("aria-disabled") == "true"
-    reason = row.locator("text=This log is being recorded.")
-    while not reason.is_visible():  # the list that the tab loads may replace the row after a click
-        button.click(force=True)
-        page.wait_for_timeout(100)
-    assert daemon.recorder.path.exists()
-
-
-def test_a_report_opens_in_a_new_page(page, robot, daemon):
     panel = tab(page, "reports")
-    panel.locator("text=No reports").wait_for()
-    folder = daemon.config.api.reports
-    folder.mkdir(exist_ok=True)
-    (folder / "gap.html").write_text("<!doctype html><title>gap</title><h1>The rail lags</h1>")
-    tab(page, "policies")
-    tab(page, "reports")
     with page.context.expect_page() as other:
         panel.get_by_role("link", name="Open gap.html").click()
     assert other.value.locator("h1").inner_text() == "The rail lags"
-
-
-def test_tabs_are_chosen_by_arrow_keys(page):
-    page.locator("#panel-policies-tab").focus()
-    names = []
-    for _ in range(7):
-        page.keyboard.press("ArrowRight")
-        names.append(json.loads(page.evaluate("JSON.stringify(document.activeElement.textContent)")))
-        assert page.locator("[role=tab][aria-selected=true]").inner_text() == names[-1]
-        assert page.locator("[role=tabpanel]:visible").count() == 1
-    assert names == ["Goals", "Events", "Jobs", "Logs", "Incidents", "Reports", "Policies"]
+    other.value.close()
+    report.unlink()
 
 
 def row(page):
@@ -168,7 +171,16 @@ def short(monkeypatch):
     monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
 
 
-def test_an_excitation_is_played_and_recorded_and_the_policy_stays(page, robot, daemon, short):
+# The window's event may come before the focus has moved, or not at all; the page must not depend on it.
+WITHOUT_BLUR = """
+const add = window.addEventListener;
+window.addEventListener = (kind, ...rest) => { if (kind !== "blur") add.call(window, kind, ...rest); };
+"""
+
+
+# Over 3 s: an excitation, and the processes of two jobs.
+def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daemon, flight, short, monkeypatch):
+    page.add_init_script(WITHOUT_BLUR)
     panel = tab(page, "jobs")
     start = panel.get_by_role("button", name="Start excitation")
     panel.locator("select").select_option("short")
@@ -189,24 +201,13 @@ def test_an_excitation_is_played_and_recorded_and_the_policy_stays(page, robot, 
     assert flown == {("excite-short", "run")}
     assert max(outputs.sent.pressure_kpa for _, outputs in log.ticks()) > 1.0
 
-
-# The window's event may come before the focus has moved, or not at all; the page must not depend on it.
-WITHOUT_BLUR = """
-const add = window.addEventListener;
-window.addEventListener = (kind, ...rest) => { if (kind !== "blur") add.call(window, kind, ...rest); };
-"""
-
-
-def test_a_diagnosis_shows_its_report_in_the_page_where_space_still_stops(page, robot, flight, monkeypatch):
-    program = verb_process._PROGRAM.partition("from softarm")[0] + (
+    setup = verb_process._PROGRAM.partition("from softarm")[0]
+    program = setup + (
         "print('fitting (40 %, about 9 s left)', file=sys.stderr, flush=True)\n"
         "open(sys.argv[-1], 'w').write('<!doctype html><h1>The rail lags</h1>')\n"
         "import time\nwhile not os.path.exists(sys.argv[-1] + '.go'): time.sleep(0.01)\n"
     )
     monkeypatch.setattr(verb_process, "_PROGRAM", program)
-    page.add_init_script(WITHOUT_BLUR)
-    page.reload()
-    panel = tab(page, "jobs")
     panel.locator("label", has_text="flight.mcap").locator("input").check()
     panel.get_by_role("button", name="Start diagnosis").click()
     row(page).locator("progress[value='0.4']").wait_for()
@@ -222,8 +223,6 @@ def test_a_diagnosis_shows_its_report_in_the_page_where_space_still_stops(page, 
     for made in reports.iterdir():
         made.unlink()
 
-
-def test_a_log_is_replayed_as_a_job(page, flight, monkeypatch):
-    monkeypatch.setattr(verb_process, "_PROGRAM", verb_process._PROGRAM.partition("from softarm")[0])
+    monkeypatch.setattr(verb_process, "_PROGRAM", setup)
     tab(page, "logs").locator("li", has_text="flight.mcap").get_by_role("button", name="Replay").click()
     row(page).locator("b", has_text="Replay ✓ done").wait_for(timeout=1000 * WAIT_S)

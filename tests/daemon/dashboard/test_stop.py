@@ -1,10 +1,11 @@
 """The stop button: always visible, independent of the API, with a report of what confirmed it."""
 
 import re
-import time
 from urllib.parse import urlsplit
 
 import pytest
+
+from tests.processes import until
 
 pytestmark = pytest.mark.slow
 
@@ -16,19 +17,30 @@ def armed(page, robot):
     return page
 
 
+def arm_again(page, robot) -> None:
+    """Arm after a stop, whose report leaves the page, and let all requests through."""
+    page.locator("#mode[data-mode=stopped]").wait_for()
+    page.unroute_all()
+    robot.calm()
+    robot.arm()
+    page.locator("#stopped").wait_for(state="hidden")
+    page.locator("#mode[data-mode=armed]").wait_for()
+
+
 def banner(page) -> str:
     return page.locator("#stopped").inner_text()
 
 
-def requests(robot, until: str) -> list[str]:
-    """Return the kinds of all requests once the recorder's thread has added this one."""
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline:
-        events = robot.client.get("/api/events").json()["events"]
-        kinds = [one["what"] for one in events if one["kind"] == "request"]
-        if kinds[-1] == until:
-            return kinds
-    raise AssertionError(kinds)
+def since_arming(robot) -> list[str]:
+    """Return the kinds of the requests since the newest one to arm."""
+    events = robot.client.get("/api/events").json()["events"]
+    kinds = [one["what"] for one in events if one["kind"] == "request"]
+    return kinds[len(kinds) - kinds[::-1].index("arm") :]
+
+
+def api_stop(page, daemon):
+    """Wait for the API's answer: each stop also goes there after 0.3 s, which would stop an arm that is armed again."""
+    return page.expect_response(lambda answer: answer.url == f"{daemon.url}/api/stop" and answer.ok)
 
 
 def cut(page, daemon, stop_too: bool = False, hang: bool = False) -> None:
@@ -41,8 +53,22 @@ def cut(page, daemon, stop_too: bool = False, hang: bool = False) -> None:
         page.evaluate("async () => { while (await fetch('api/robot').then(() => true, () => false)); }")
 
 
-def test_the_button_stops_and_names_the_port_that_confirmed(armed, robot):
-    armed.locator("#stop").click()
+def test_the_button_is_visible_and_uncovered_on_every_screen_and_stops(armed, robot):
+    for width, height in ((360, 640), (390, 844), (768, 1024), (1280, 720)):
+        armed.set_viewport_size({"width": width, "height": height})
+        armed.evaluate("scrollTo(0, document.body.scrollHeight)")
+        button = armed.locator("#stop")
+        box = button.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= height
+        top = armed.evaluate(
+            "([x, y]) => document.elementFromPoint(x, y).closest('button')?.id",
+            [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2],
+        )
+        assert top == "stop"
+    button.click()
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert re.match(
         r"Stopped at [0-9:]{8}: confirmed (via the (dedicated stop port|API) in \d+ ms|by the robot's status)",
@@ -52,79 +78,58 @@ def test_the_button_stops_and_names_the_port_that_confirmed(armed, robot):
     armed.locator("#mode[data-mode=stopped]").wait_for()
 
 
-@pytest.mark.parametrize("focus", ["body", "#do-disarm", "#drawing", "#target-y", "#panel-events-tab", "#pause"])
-def test_space_stops_wherever_the_focus_is_and_presses_no_button(armed, robot, focus):
-    if focus != "body":
-        armed.locator(focus).focus()
-    armed.keyboard.press("Space")
-    armed.locator("#stopped[data-state=stopped]").wait_for()
-    assert robot.status["mode"] == "stopped"
-    assert armed.locator("#pause").get_attribute("aria-pressed") == "false"
-    assert armed.locator("#panel-events-tab").get_attribute("aria-selected") == "false"
-    assert requests(robot, until="stop")[-1] == "stop"  # no disarm follows
-
-
-def test_a_space_in_a_text_field_does_not_stop(armed, robot):
+def test_space_stops_wherever_the_focus_is_but_not_in_a_text_field(armed, robot, daemon):
     armed.evaluate("document.body.append(Object.assign(document.createElement('textarea'), {id: 'note'}))")
     armed.locator("#note").focus()
     armed.keyboard.type("a b")
     assert armed.locator("#note").input_value() == "a b"
     assert robot.status["mode"] == "armed"
+    armed.locator("#note").evaluate("(note) => note.remove()")
+    for focus in ("body", "#do-disarm", "#drawing", "#target-y", "#panel-events-tab", "#pause"):
+        if focus != "body":
+            armed.locator(focus).focus()
+        with api_stop(armed, daemon):
+            armed.keyboard.press("Space")
+        armed.locator("#stopped[data-state=stopped]").wait_for()
+        assert robot.status["mode"] == "stopped"
+        assert armed.locator("#pause").get_attribute("aria-pressed") == "false"
+        assert armed.locator("#panel-events-tab").get_attribute("aria-selected") == "false"
+        until(lambda: since_arming(robot).count("stop") == 2, "the requests of both ports")
+        assert since_arming(robot) == ["stop", "stop"]  # no disarm
+        arm_again(armed, robot)
 
 
-def test_the_button_works_when_the_api_hangs(armed, robot, daemon):
-    cut(armed, daemon, hang=True)
-    armed.keyboard.press("Space")
-    armed.locator("#stopped[data-state=stopped]").wait_for()
-    assert robot.status["mode"] == "stopped"
-
-
-def test_the_button_uses_the_dedicated_port_if_api_and_stream_fail(robot, opened, daemon):
-    robot.arm()
-    page = opened()
-    cut(page, daemon)
-    page.locator("#stop").click()
-    page.locator("#stopped[data-state=stopped]").wait_for()
-    assert robot.status["mode"] == "stopped"
-
-
-def test_the_button_uses_the_api_if_the_dedicated_port_fails(armed, robot, daemon):
-    armed.route(lambda url: urlsplit(url).port == daemon.stop_port, lambda route: route.abort())
-    armed.locator("#stop").click()
-    armed.locator("#stopped[data-state=stopped]").wait_for()
-    assert robot.status["mode"] == "stopped"
-    # The text may be of the first press, and a stop on its way would stop the arm in the next test.
-    with armed.expect_response(lambda answer: answer.url.endswith("/api/stop") and answer.ok):
+def test_each_port_stops_without_the_other_and_a_stop_without_answer_is_retried(armed, robot, daemon):
+    cut(armed, daemon)
+    with armed.expect_event("requestfailed", lambda request: request.url == f"{daemon.url}/api/stop"):
         armed.locator("#stop").click()
-    armed.locator("#stopped >> text=confirmed via the API").wait_for()
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+    arm_again(armed, robot)
 
-
-def test_without_any_answer_the_button_reports_not_confirmed_and_retries(armed, robot, daemon):
     cut(armed, daemon, stop_too=True)
     armed.keyboard.press("Space")
     armed.locator("#stopped[data-state=unconfirmed]").wait_for()
     assert "NOT confirmed. Use the emergency-stop button" in banner(armed)
     assert robot.status["mode"] == "armed"
     assert armed.locator("#stop-text").inner_text() == "Not confirmed"
-    armed.unroute_all()
+    with api_stop(armed, daemon):
+        armed.unroute_all()
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
+    arm_again(armed, robot)
 
+    armed.route(lambda url: urlsplit(url).port == daemon.stop_port, lambda route: route.abort())
+    with api_stop(armed, daemon):
+        armed.locator("#stop").click()
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+    with api_stop(armed, daemon):  # again, since the status may have confirmed the first one
+        armed.locator("#stop").click()
+    armed.locator("#stopped >> text=confirmed via the API").wait_for()
+    arm_again(armed, robot)
 
-def test_the_button_is_visible_and_uncovered_on_every_screen(opened, robot):
-    sizes = ((360, 640), (390, 844), (768, 1024), (1280, 720))
-    page = opened(apart=True)
-    for size in sizes:
-        page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
-        page.evaluate("scrollTo(0, document.body.scrollHeight)")
-        button = page.locator("#stop")
-        box = button.bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= size[0]
-        assert box["y"] >= 0
-        assert box["y"] + box["height"] <= size[1]
-        top = page.evaluate(
-            "([x, y]) => document.elementFromPoint(x, y).closest('button')?.id",
-            [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2],
-        )
-        assert top == "stop"
+    cut(armed, daemon, hang=True)
+    armed.keyboard.press("Space")
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
