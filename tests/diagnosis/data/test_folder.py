@@ -15,7 +15,7 @@ from softarm.diagnosis.data.trials import Series, TrialError
 
 @pytest.fixture(scope="module")
 def short(record):
-    return record("pressure-multisine")
+    return record("pressure-multisine", length_s=1.0)
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ ARM = """
 <actuator><position name="yaw_servo" joint="yaw" kp="20"/><position name="shoulder_servo" joint="shoulder" kp="40"/>
 <position name="elbow_servo" joint="elbow" kp="20"/></actuator>EXTRA</mujoco>"""
 JOINTS = ("rail", "yaw", "shoulder", "elbow")
-T = np.arange(100) * 0.02
+T = np.arange(61) * 0.033
 
 
 def write(folder, elbow="-2.4 2.4", extra=""):
@@ -81,8 +81,7 @@ def solved(file, columns, base=None, base_t_s=T):
     return mocap.positions(Skeleton(file, columns, base or ()), Series(T, columns), known, Path("run.csv"))[0]
 
 
-@pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(seed=st.integers(0, 10_000), points=st.sampled_from([("tip", "elbow_marker"), ("fore+",), ("tip", "upper+")]))
 def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed, points):
     file = write(tmp_path_factory.mktemp("arm"), "0.2 2.4")
@@ -92,7 +91,7 @@ def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed
     true = middle + half * np.sin(np.outer(T, random.uniform(1, 4, 4)) + random.uniform(0, 6, 4))
     found = solved(file, tracked(file, true, points))
     seen = np.isin(T, found.t_s)
-    assert seen.sum() > 50
+    assert seen.sum() > 30
     for name, of in zip(JOINTS, true[seen].T, strict=True):
         assert found[name] == pytest.approx(of, abs=1e-6)
 
@@ -118,7 +117,7 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
     stretched = true[:, 3] < 0.1  # the tip's distance from the shoulder hardly changes with the elbow there
     assert stretched.any()
     assert not np.isin(T[stretched], found.t_s).any()
-    assert len(found) > 50
+    assert len(found) > 30
 
 
 @pytest.mark.parametrize(
@@ -162,9 +161,8 @@ def test_points_that_fit_no_pose_are_refused(model, wrong):
         case "place":
             other = {"tip": "elbow_marker", "elbow_marker": "tip"}
             columns = {f"{other[n[:-2]]}{n[-2:]}": x for n, x in columns.items()}
-    with pytest.raises(
-        TrialError, match=r"run.csv: the tracked points differ by .* m from the model in its best poses"
-    ):
+    message = r"run.csv: the tracked points differ by .* best poses .* that origin and axes are those of the model"
+    with pytest.raises(TrialError, match=message):
         solved(file, columns)
 
 
@@ -172,18 +170,18 @@ def test_a_few_rows_without_the_points_are_left_out_with_a_warning(model):
     file, true = model(), motion()
     columns = tracked(file, true, ("tip", "elbow_marker"))
     for values in columns.values():
-        values[[0, *range(50, 54)]] = 0.0  # as a system writes a lost marker
+        values[[0, 30]] = 0.0  # as a system writes a lost marker
     skeleton = Skeleton(file, columns)
     found, (warning,) = mocap.positions(skeleton, Series(T, columns), [], Path("run.csv"))
-    assert warning.startswith("run.csv: in 5 rows, first at 0.000 s, the tracked points differ by more than")
-    assert found["elbow"] == pytest.approx(np.delete(true[:, 3], [0, *range(50, 54)]), abs=1e-6)
+    assert warning.startswith("run.csv: in 2 rows, first at 0.000 s, the tracked points differ by more than")
+    assert found["elbow"] == pytest.approx(np.delete(true[:, 3], [0, 30]), abs=1e-6)
 
 
 def test_an_orientation_that_is_no_unit_quaternion_is_refused(model):
     file = model()
     columns = tracked(file, motion(), ("fore+",))
-    columns["fore_qw"][20], columns["fore_qx"][20] = 0.0, 0.0
-    with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.400 s"):
+    columns["fore_qw"][10], columns["fore_qx"][10] = 0.0, 0.0
+    with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.330 s"):
         solved(file, columns)
 
 
@@ -258,8 +256,9 @@ def in_another_frame(columns, wrong=None):
     return found
 
 
-@pytest.mark.parametrize("fixed", [("left", "right", "back"), ("rack+",)])
-@pytest.mark.parametrize("moved", [("tip", "elbow_marker"), ("fore+",)])
+@pytest.mark.parametrize(
+    ("fixed", "moved"), [(("left", "right", "back"), ("fore+",)), (("rack+",), ("tip", "elbow_marker"))]
+)
 def test_fixed_points_show_the_frame_of_motion_capture(model, fixed, moved):
     file, true = model(), motion()
     found = solved(file, in_another_frame(tracked(file, true, (*moved, *fixed))))
@@ -267,7 +266,7 @@ def test_fixed_points_show_the_frame_of_motion_capture(model, fixed, moved):
         assert found[name] == pytest.approx(of, abs=1e-6)
 
 
-@pytest.mark.parametrize("fixed", [("left", "right"), ("rack",), ()])
+@pytest.mark.parametrize("fixed", [("left", "right"), ("rack",)])
 def test_with_fewer_fixed_points_coordinates_have_to_be_in_the_frame_of_the_model(model, fixed):
     file, true = model(), motion()
     columns = tracked(file, true, ("tip", "elbow_marker", *fixed))
@@ -340,13 +339,14 @@ def test_encoders_and_tracked_joints_have_the_stamps_of_the_slower_ones(encoder_
     assert joints["rail"] == pytest.approx(3 * joints.t_s)
 
 
-def described(folder, encoders=(), fixed=()):
-    """Return the description of two recordings of tracked points in mm, 0.1 mm off, and what its command printed.
+def described(folder, encoders=(), fixed=(), means=(0.8,)):
+    """Return the description of recordings of tracked points in mm, 0.1 mm off, and what its command printed.
 
     encoders: joints that have a column of their own. fixed: tracked points of the base, which show another frame.
+    means: mean of the elbow in each recording.
     """
-    file = write(folder)
-    for number, mean in enumerate((0.8, 1.2), 1):
+    file, recordings = write(folder), []
+    for number, mean in enumerate(means, 1):
         true = motion(elbow=(mean, 0.6))
         seen = tracked(file, true, ("tip", "elbow_marker"), 1e-4)
         if fixed:
@@ -355,18 +355,17 @@ def described(folder, encoders=(), fixed=()):
         columns |= {f"{name}_servo": x for name, x in zip(JOINTS[1:], true[:, 1:].T, strict=True)}
         columns |= {name: true[:, JOINTS.index(name)] for name in encoders}
         table = np.stack([T, *columns.values()], axis=1)
-        np.savetxt(folder / f"run-{number}.csv", table, delimiter=",", header="t," + ",".join(columns), comments="")
-    data = [str(folder / each) for each in ("arm.xml", "run-1.csv", "run-2.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(folder / "stage.yaml")])
-    return folder / "stage.yaml", result
+        recordings.append(str(folder / f"run-{number}.csv"))
+        np.savetxt(recordings[-1], table, delimiter=",", header="t," + ",".join(columns), comments="")
+    command = ["new", "rig", str(file), *recordings, "--out", str(folder / "stage.yaml")]
+    return folder / "stage.yaml", CliRunner().invoke(main, command)
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    return described(tmp_path_factory.mktemp("rig"))
+    return described(tmp_path_factory.mktemp("rig"), means=(0.8, 1.2))
 
 
-@pytest.mark.slow
 def test_a_description_is_written_and_its_joints_are_checked(rig):
     file, result = rig
     assert result.exit_code == 0, result.output
@@ -378,17 +377,21 @@ def test_a_description_is_written_and_its_joints_are_checked(rig):
     assert [*channels["command"]["columns"]] == ["yaw_servo", "shoulder_servo", "elbow_servo"]
 
 
-def test_a_trial_has_the_joints_and_not_the_points(rig):
-    elbow = next(t for t in tables.read(rig[0]) if t.name == "run-1/elbow")
+def test_a_trial_has_the_joints_and_their_effects_and_not_the_points(rig):
+    stage = yaml.safe_load(rig[0].read_text()) | {"effects": {"elbow.gain": {"scale": 0.1}}}
+    other = rig[0].with_name("effects.yaml")
+    other.write_text(yaml.safe_dump(stage))
+    elbow = next(t for t in tables.read(other) if t.name == "run-1/elbow")
     assert elbow.channels.keys() == {"measured", "command"}
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+    assert elbow.stage.effects == {"gain": {"scale": 0.1}}
 
 
-@pytest.mark.slow
 def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path):
     file, result = described(tmp_path, ["rail"])
     assert result.exit_code == 0, result.output
-    channels = yaml.safe_load(file.read_text())["channels"]
+    stage = yaml.safe_load(file.read_text())
+    channels = stage["channels"]
     assert channels.keys() == {"measured", "mocap", "command"}
     assert [*channels["measured"]["columns"]] == ["rail"]
     assert "(1 joints of the model are measured and points are tracked)" in file.read_text()
@@ -396,9 +399,13 @@ def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path)
     assert elbow.channels["measured"].columns.keys() == {*JOINTS}
     assert elbow.channels["measured"]["rail"] == pytest.approx(motion()[:, 0])
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+    channels["base"] = channels.pop("measured")
+    stage["trials"][0].update(files=dict.fromkeys(("mocap", "command"), "run-1.csv"))
+    file.write_text(yaml.safe_dump(stage))
+    with pytest.raises(TrialError, match=r"run-1.csv: trial run-1 names no file for the base channel; add it, since"):
+        tables.read(file)
 
 
-@pytest.mark.slow
 def test_fixed_points_are_found_though_they_never_move(tmp_path):
     file, result = described(tmp_path, fixed=("left", "right", "back"))
     assert result.exit_code == 0, result.output
@@ -408,30 +415,10 @@ def test_fixed_points_are_found_though_they_never_move(tmp_path):
     assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
 
 
-@pytest.mark.slow
-def test_points_on_a_moved_base_without_its_recording_are_refused(tmp_path):
-    file, _ = described(tmp_path, ["rail"])
-    stage = yaml.safe_load(file.read_text())
-    stage["channels"]["base"] = stage["channels"].pop("measured")
-    stage["trials"][0].update(files=dict.fromkeys(("mocap", "command"), "run-1.csv"))
-    file.write_text(yaml.safe_dump(stage))
-    with pytest.raises(TrialError, match=r"run-1.csv: trial run-1 names no file for the base channel; add it, since"):
-        tables.read(file)
-
-
-@pytest.mark.slow
 def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
     file, result = described(tmp_path, JOINTS)
     assert result.exit_code == 0, result.output
     assert yaml.safe_load(file.read_text())["channels"].keys() == {"measured", "command"}
-
-
-def test_effects_of_the_nominal_model_name_joints(rig):
-    stage = yaml.safe_load(rig[0].read_text()) | {"effects": {"elbow.gain": {"scale": 0.1}}}
-    other = rig[0].with_name("effects.yaml")
-    other.write_text(yaml.safe_dump(stage))
-    elbow = next(t for t in tables.read(other) if t.name == "run-1/elbow")
-    assert elbow.stage.effects == {"gain": {"scale": 0.1}}
 
 
 @pytest.mark.parametrize(

@@ -80,24 +80,24 @@ def test_lists_in_cells_give_a_stage_for_each_element(tmp_path):
 
 
 @pytest.mark.prove
-def test_a_public_data_set_is_read_for_its_model_without_a_warning(data):
-    trials = tables.read(STAGES / "so101-mujoco.yaml", data)
+@pytest.mark.parametrize("stage", ["so101", "so101-mujoco"])
+def test_recordings_of_public_servos_are_read_without_a_warning(data, stage):
+    trials = tables.read(STAGES / f"{stage}.yaml", data)
     assert (len(trials), [w for t in trials for w in t.warnings]) == (30, [])
+    if stage == "so101":
+        servo = next(t for t in trials if t.name == "step-response/servo3")
+        lag = np.corrcoef(servo.channels["command"]["command"], servo.channels["measured"]["position"])[0, 1]
+        assert 0.9 < lag < 1.0
 
 
-def test_the_public_data_sets_are_read_without_a_warning(data):
-    stages = sorted(stage for stage in STAGES.glob("*.yaml") if stage.stem != "so101-mujoco")  # the recordings of so101
-    trials = [trial for stage in stages for trial in tables.read(stage, data)]
-    kinds = {kind: [t for t in trials if t.stage.kind == kind] for kind in ("pendulum", "tracking")}
-    assert [len(found) for found in kinds.values()] == [1 + 6 + 26, 30]
+def test_public_recordings_of_pendulums_are_read_without_a_warning(data):
+    trials = [trial for stage in sorted(STAGES.glob("*pendulum*.yaml")) for trial in tables.read(stage, data)]
+    assert sum(trial.stage.kind == "pendulum" for trial in trials) == 1 + 6 + 26
     assert [w for t in trials for w in t.warnings] == []
     free = next(t for t in trials if t.name == "free-swing-1").channels["measured"]
     assert len(free) == 231_757
     assert np.abs(free["angle1"]).max() < 0.07  # hangs at zero, swings about 4 degrees
     assert np.ptp(free.t_s) == pytest.approx(23.1756)
-    servo = next(t for t in trials if t.name == "step-response/servo3")
-    lag = np.corrcoef(servo.channels["command"]["command"], servo.channels["measured"]["position"])[0, 1]
-    assert 0.9 < lag < 1.0
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from softarm.diagnosis.engine.ceiling import hum
 from tests.diagnosis.engine.gauge import channel
 
-TRIALS, LENGTH, STEP_S = 4, 900, 1 / 60
+TRIALS, LENGTH, STEP_S = 4, 450, 1 / 60
 T = STEP_S * np.arange(TRIALS * LENGTH)
 
 

@@ -54,9 +54,10 @@ def examined(thresholds=ROBOT, **view):
     return Examination(setup, known, thresholds, lambda what, share: None)
 
 
-@pytest.mark.parametrize("thresholds", [ROBOT, RIG], ids=["robot", "rig"])
 @pytest.mark.parametrize(
-    ("which", "when"), [("within", "within the trials"), ("over", "from the first trial to the last")]
+    ("thresholds", "which", "when"),
+    [(ROBOT, "within", "within the trials"), (RIG, "over", "from the first trial to the last")],
+    ids=["robot", "rig"],
 )
 def test_a_drifting_strength_is_unknown_and_the_sentence_says_what_drifts(thresholds, which, when):
     found = examined(thresholds, **{which: -0.5})

@@ -41,7 +41,7 @@ def test_the_best_fit_predicts_whole_recordings_and_not_windows(tmp_path):
 def test_a_joint_that_nothing_holds_keeps_its_windows(tmp_path):
     free = changed(f"<position {LOOP} ctrlrange", "<motor ctrlrange").replace("<position", "<motor")
     free = free.replace("<option ", '<option gravity="0 0 0" ')
-    record(free, tmp_path / "motion.csv")
+    record(free, tmp_path / "motion.csv", seconds=5)
     view, _ = view_of(elbows(tmp_path, free))
     assert view.uninterrupted() is view
 

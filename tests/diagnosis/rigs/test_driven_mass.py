@@ -48,7 +48,7 @@ class Cart:
     ratio: float = 0.05
 
 
-@numba.njit
+@numba.njit(cache=True)
 def run(c, reference, kp, kd, step, fine, bristle, noise):
     """Return commands, positions and speeds [T] at samples of `step`; c: the values of a Cart in their order."""
     (mass, gain, viscous, dry, more, stick, stribeck, drag, offset, delay, lag, width, limit, gap, hz, ratio) = c
@@ -129,7 +129,7 @@ def campaign(
 
 KNOWN = {"mass_kg": 2.0, "viscous": 1.5, "coulomb": 1.0}
 RUBS = Cart(coulomb=1.0)
-QUICK = {"seconds": 9.0, "kinds": ("steps", "multisine", "slow")}
+QUICK = {"seconds": 6.0, "kinds": ("steps", "multisine", "slow")}
 
 
 def law(**numbers):
@@ -230,7 +230,8 @@ ALIKE = ("mass", "friction_asymmetry", "damping", "drag", "lag", "deadband")
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.prove if n in ALIKE else ()) for n in SINGLES])
 def test_the_cause_fits_best_with_its_true_size(name):
     cart, parameter, size, inseparable = SINGLES[name]
-    view = DrivenMassView(campaign(cart, KNOWN, **QUICK))
+    seconds = 9.0 if name in ALIKE else 6.0  # a short recording shows a lag too small
+    view = DrivenMassView(campaign(cart, KNOWN, **QUICK | {"seconds": seconds}))
     fits, null_model, _ = alone(view)
     assert np.sqrt(np.nanmean(view.gap([{}])[0] ** 2)) > 5 * view.floor[0]
     assert fits[name].loss < 0.05 * null_model.loss
@@ -336,7 +337,9 @@ def test_the_resolution_of_an_encoder_is_found():
 
 
 def test_windows_scale_with_the_period_of_the_motion():
-    quick, slow = (DrivenMassView([_in(t, way) for t in campaign(RUBS, KNOWN, **QUICK)]) for way in (1.0, 50.0))
+    quick, slow = (
+        DrivenMassView([_in(t, way) for t in campaign(RUBS, KNOWN, **QUICK | {"seconds": 9.0})]) for way in (1.0, 50.0)
+    )
     assert slow.block_s == pytest.approx(50 * quick.block_s, rel=0.2)
     trial_s = float(quick.t_s[quick.trial == 0][-1])
     assert trial_s / 41 < quick.block_s < trial_s / 3

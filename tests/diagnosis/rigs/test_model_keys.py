@@ -1,5 +1,6 @@
 """Every key of a stage.yaml's model changes the prediction of its view: no key is accepted and ignored."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,11 @@ def residuals(kind, model):
     return np.nan_to_num(view.gap([{}]))
 
 
+@cache
+def usual_residuals(kind):
+    return residuals(kind, MODEL[kind])
+
+
 @pytest.mark.parametrize(
     ("kind", "key"), [(kind, key.name) for kind, keys in MODEL_KEYS.items() if kind in DESCRIBED for key in keys]
 )
@@ -54,7 +60,7 @@ def test_every_key_of_the_model_changes_the_prediction(kind, key):
     }
     changed |= {key: other}
     assert list(complaints(kind, changed, links)) == []
-    assert not np.allclose(residuals(kind, changed), residuals(kind, usual), rtol=1e-4, atol=1e-7)
+    assert not np.allclose(residuals(kind, changed), usual_residuals(kind), rtol=1e-4, atol=1e-7)
 
 
 def test_the_docs_list_every_channel_and_column():

@@ -203,7 +203,7 @@ def test_a_late_servo_is_split_into_dead_time_lag_and_acceleration_limit():
     assert found["acceleration_limit"]["acceleration"] == pytest.approx(12.0, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_large_swings_show_drag_and_dry_friction_next_to_the_models_viscous_friction():
     draw = np.random.default_rng(5)
     trials, true = [], {"drag": 0.01, "coulomb_friction": 5e-4}

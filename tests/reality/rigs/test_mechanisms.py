@@ -25,8 +25,8 @@ def test_bristles_slip_at_their_level_and_hold_weaker_forces():
     assert down[0] == pytest.approx(-3.0, rel=1e-6)
     x, v = 0.0, 0.0
     rub = Bristles(np.array([2.0]), np.array([2.0]), 1.0, 1e-4, 1e-4)
-    for i in range(50000):  # pushed with 1.9 at last against 2
-        v += 1e-4 * (1.9 * min(i / 45000, 1) - rub.force(np.array([v]))[0])
+    for i in range(30000):  # pushed with 1.9 at last against 2
+        v += 1e-4 * (1.9 * min(i / 27000, 1) - rub.force(np.array([v]))[0])
         x += 1e-4 * v
     assert x == pytest.approx(1e-4 * math.log(20), rel=0.1)  # how far bristles creep that bear 95 % of their level
     assert abs(v) < 1e-6
@@ -82,11 +82,11 @@ def test_an_axis_answers_a_step_as_two_lags(velocity):
 
 @pytest.mark.slow
 def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_error():
-    dt, steps = 1e-4, 12000
+    dt, steps = 2e-4, 6000
     command = np.full((steps, 2), 1.0)
     command[0] = 0.0
-    out = axis(command[:2001], [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
-    assert np.diff(out[500:2000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
+    out = axis(command[:1001], [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
+    assert np.diff(out[250:1000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
     hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
     out = axis(
         command,
@@ -115,7 +115,7 @@ def test_a_chamber_fills_and_vents_with_its_lags_and_no_faster_than_its_orifice(
 
 def test_a_cart_reaches_its_terminal_speed():
     controller = Controller(1.0, 1e-6, 1e9, 1e-9)
-    dt, steps = 1e-3, 6000
+    dt, steps = 2e-3, 3000
     lanes = [
         {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0},
         {"mass_kg": 2.0, "slope_rad": 0.1, "drag_n_s2_m2": 4.0},
@@ -123,7 +123,7 @@ def test_a_cart_reaches_its_terminal_speed():
     ]
     out, _ = cart(np.zeros((steps, 3)), lanes, np.zeros(3), dt, 10, controller)
     weight = 2 * 9.81 * math.sin(0.1)
-    speed = (out[-1] - out[-1001]) / 1.0
+    speed = (out[-1] - out[-501]) / 1.0
     assert speed == pytest.approx([weight / 4, math.sqrt(weight / 4), (weight - 1) / 4], rel=1e-3)
 
 
@@ -162,8 +162,8 @@ def test_a_cart_feels_its_force_after_the_exact_delay_and_lag():
 def test_a_load_on_a_spring_swings_at_its_frequency():
     controller = Controller(1.0, 1e-6, 1e9, 1e-9)
     lanes = [{"mass_kg": 1.0, "spring_rad_s": 30.0, "force_n": 1.0}]
-    out, _ = cart(np.zeros((5000, 1)), lanes, ONE, 1e-4, 10, controller)
-    t = 1e-4 * np.arange(5000)
+    out, _ = cart(np.zeros((2500, 1)), lanes, ONE, 2e-4, 5, controller)
+    t = 2e-4 * np.arange(2500)
     # Two free bodies, by the reduced mass.
     w, decay = 30.0 / math.sqrt(1 - 0.35), SPRING_ZETA * 30.0 / (1 - 0.35)
     turn = math.sqrt(w * w - decay * decay)
@@ -177,7 +177,7 @@ def test_a_small_pendulum_decays_as_the_closed_forms_say():
     link = {"mass_kg": 1.0, "centre_m": 0.5, "inertia_kg_m2": 0.05}
     inertia, moment = 0.05 + 0.25, 9.81 * 0.5
     w = math.sqrt(moment / inertia)
-    dt, steps = 2e-3, 3000
+    dt, steps = 3e-3, 2000
     lanes = [link | {"viscous_nm_s": 0.06}, link | {"friction_nm": 0.01}, link]
     out = swing(np.full((3, 1), 0.05), lanes, np.zeros(3), dt, steps, 3)[:, :, 0]
     t = dt * np.arange(steps)
@@ -187,7 +187,7 @@ def test_a_small_pendulum_decays_as_the_closed_forms_say():
     assert np.max(np.abs(out[:, 0] - want)) < 3e-4
     peaks = [out[round(k * 2 * math.pi / w / dt), 1] for k in range(4)]
     assert np.diff(peaks) == pytest.approx([-4 * 0.01 / moment] * 3, rel=0.05)
-    assert np.max(out[-1000:, 2]) == pytest.approx(0.05, rel=1e-3)
+    assert np.max(out[-600:, 2]) == pytest.approx(0.05, rel=1e-3)
 
 
 def energy_j(lane, q, v):
@@ -212,8 +212,8 @@ def test_three_links_keep_their_energy_and_agree_with_an_integrator_of_high_orde
     def flow(t, y):
         return np.concatenate((y[3:], chain.accelerations(y[None, :3], y[None, 3:], np.zeros((1, 3)), ONE)[0]))
 
-    exact = solve_ivp(flow, (0, 1), (0.9, 0.3, -0.4, 0, 0, 0), rtol=1e-10, atol=1e-12).y[:3, -1]
-    for i in range(1000):
+    exact = solve_ivp(flow, (0, 0.5), (0.9, 0.3, -0.4, 0, 0, 0), rtol=1e-10, atol=1e-12).y[:3, -1]
+    for i in range(500):
         chain.step(i * 1e-3, np.zeros((1, 3)), (ONE, ONE, ONE))
     assert energy_j(lane, *chain.state[:, 0]) == pytest.approx(before, rel=1e-6)
     assert chain.state[0, 0] == pytest.approx(exact, abs=1e-5)
@@ -222,10 +222,10 @@ def test_three_links_keep_their_energy_and_agree_with_an_integrator_of_high_orde
 @pytest.mark.slow
 def test_a_base_that_speeds_up_tilts_a_pendulum_and_a_hanging_arm_stays_where_its_torque_says():
     lanes = [{"viscous_nm_s": 2.0}]
-    base = np.full((2 * 3000 + 1, 1), 1.0)
-    out = swing(np.zeros((1, 1)), lanes, ONE, 2e-3, 3000, 1, base=base)
+    base = np.full((2 * 1000 + 1, 1), 1.0)
+    out = swing(np.zeros((1, 1)), lanes, ONE, 6e-3, 1000, 1, base=base)
     assert out[-1, 0, 0] == pytest.approx(-math.atan2(1.0, 9.81), abs=1e-3)
-    loaded = swing(np.zeros((1, 1)), lanes, ONE, 2e-3, 3000, 1, torques=lambda i, q, v: np.full((1, 1), 1.0))
+    loaded = swing(np.zeros((1, 1)), lanes, ONE, 6e-3, 1000, 1, torques=lambda i, q, v: np.full((1, 1), 1.0))
     assert loaded[-1, 0, 0] == pytest.approx(math.asin(1.0 / (9.81 * 0.5)), abs=1e-3)
 
 

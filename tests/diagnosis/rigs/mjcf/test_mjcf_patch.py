@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from softarm.diagnosis.rigs.mjcf import patch
@@ -136,6 +136,7 @@ SIZES = {
 ONE = st.sampled_from
 
 
+@settings(max_examples=35)
 @given(
     ONE(DEFAULTS),
     ONE(ACTUATORS),

@@ -221,5 +221,6 @@ def test_samples_before_a_slow_actuator_has_forgotten_its_start_are_left_out(tmp
 def test_a_muscle_that_bends_springs_of_the_model_is_no_position_loop(tmp_path, lag):
     """The torque is nearly a multiple of the angle."""
     muscle = f'<general name="flexor" tendon="flexor"{lag}/>'
-    trials = tables.read(recorded(tmp_path, finger(muscle).replace('stiffness="0.', 'stiffness="10.'), size=5.0))
+    stiff = finger(muscle).replace('stiffness="0.', 'stiffness="10.')
+    trials = tables.read(recorded(tmp_path, stiff, size=5.0, trials=1))
     assert [view_of(of_joint(trials, name))[0].assumptions for name in RATIOS] == [(), ()]
