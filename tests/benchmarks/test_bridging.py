@@ -8,7 +8,7 @@ from benchmarks import bridging
 @pytest.mark.slow
 def test_the_models_error_is_a_tenth_of_holding_the_last_frame(monkeypatch):
     monkeypatch.setattr(bridging, "METHODS", ("hold", "model"))
-    monkeypatch.setattr(bridging, "TEST_TARGETS", bridging.TEST_TARGETS[::3])
+    monkeypatch.setattr(bridging, "TEST_TARGETS", bridging.TEST_TARGETS[::9])
     off = bridging.errors(bridging.SIMULATOR)
     for hold_m, model_m in zip(off["hold"], off["model"], strict=True):
         assert model_m < 0.1 * hold_m

@@ -26,6 +26,6 @@ def test_one_strong_effect_is_named(campaign, method):
 
 
 def test_all_at_once_names_one_effect_of_the_registry_and_its_patch_is_a_model(campaign):
-    found = METHODS["all-at-once"](campaign(LATE), Model())
+    found = METHODS["all-at-once"](campaign(LATE, ("pressure-multisine", "both")), Model())
     assert len(_names(found)) <= 1
     validate(found.patched.effects)

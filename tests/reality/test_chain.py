@@ -53,7 +53,7 @@ def test_the_shares_of_fine_joints_form_a_triangle() -> None:
     np.testing.assert_allclose(refine(equal, 2).share, [1, 0.25, *[0.5] * 7, 0.25])
 
 
-@pytest.mark.parametrize("pressure_kpa", [0.0, 10.0, 20.0])
+@pytest.mark.parametrize("pressure_kpa", [0.0, 20.0])
 def test_the_hanging_pose_equals_the_five_link_simulators(pressure_kpa: float) -> None:
     simulator = Simulator(physics_rate_hz=1200.0)
     simulator.step(0.0, pressure_kpa, 8.0)

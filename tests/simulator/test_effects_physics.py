@@ -13,23 +13,23 @@ from softarm.simulator.simulator import Simulator
 from tests.simulator import stages
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("rate_hz", [240.0, 1200.0])
-def test_contact_never_injects_energy(rate_hz: float, friction: float) -> None:
+def test_contact_never_injects_energy(rate_hz: float) -> None:
     """An arm without muscle or drive swings into a board's edge: what energy it has becomes less with every step."""
     zeros = (0.0,) * 5
     arm = Arm(muscle_gain_nm_kpa=zeros, torque_offset_nm=zeros)
-    model = Model(arm=arm, effects={"contact.friction": {"coefficient": friction}})
+    model = Model(arm=arm, effects={})
     robots, shelf = 64, (-0.06, 0.56)
     starts = np.random.default_rng(7).uniform(0.1, 0.5, (robots, 1)) * np.linspace(0.2, 1.0, 5)
-    free, hit = (Simulator(model, robots, rate_hz, fixed_base=True) for _ in range(2))
+    friction = {"contact.friction.coefficient": np.arange(robots) % 2 * 0.4}
+    free, hit = (Simulator(model, robots, rate_hz, fixed_base=True, overrides=friction) for _ in range(2))
     hit.place_shelf(*shelf)
     for simulator in (free, hit):
         simulator.reset(joint_angles_rad=starts)
     have = have_free = stages.energies_j(hit, shelf, 2000.0)
     gain = gain_free = 0.0
     apart = np.zeros(robots)
-    for _ in range(240):
+    for _ in range(160):
         for simulator in (free, hit):
             simulator.step(0.0, 0.0, 1 / 120)
         had, had_free = have, have_free

@@ -103,7 +103,7 @@ def test_a_swinging_arm_on_its_cart_gains_no_more_momentum_than_the_limit_gives(
     simulator = Simulator(model, 6, 2400.0, dtype=np.float64, overrides={"rail.force_limit.force": limits})
     velocity, pressure = commands.bang_bang(1, seed=3)
     forces = []
-    for v, p in zip(velocity[:60, 0], pressure[:60, 0], strict=True):
+    for v, p in zip(velocity[:30, 0], pressure[:30, 0], strict=True):
         for _ in range(80):
             before = momentum_n_s(simulator)
             simulator.step(v, p, 1 / 2400)

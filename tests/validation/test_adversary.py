@@ -12,10 +12,10 @@ NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
 POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, and ticks are skipped
 
 
-# Over 3 s: the limits of a world are measured before it is attacked.
 @pytest.mark.slow
 def test_no_policy_moves_the_cart_beyond_the_margin(monkeypatch):
-    monkeypatch.setattr(adversary_batch, "GENERATIONS", 1)
+    for name, fewer in (("GENERATIONS", 1), ("MEASURED_TICKS", 100), ("FLOWN_TICKS", 120)):
+        monkeypatch.setattr(adversary_batch, name, fewer)
     assert attack(POOR, robots=48, seed=1)["beyond_m"] < RAIL_EXCURSION_M
 
 

@@ -23,7 +23,7 @@ from softarm.diagnosis.blind.imperfections import (
 from softarm.diagnosis.data.folder import read as read_trial
 from softarm.diagnosis.data.read import read_all
 from softarm.reality.parameters import RobotParameters
-from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.excitation import EXCITATIONS, Excitation, Ramp
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY
@@ -132,7 +132,9 @@ def test_every_case_has_eight_trials_and_different_fresh_ones(cases):
     assert 60 < repeats < 140
 
 
-def test_a_written_case_can_be_read_and_a_partial_one_is_written_again(tmp_path):
+def test_a_written_case_can_be_read_and_a_partial_one_is_written_again(tmp_path, monkeypatch):
+    brief = Excitation("rail-multisine", "two seconds", cart_velocity_m_s=(Ramp(2.0, 0.0, 0.2),))
+    monkeypatch.setattr(make, "EXCITATIONS", {brief.name: brief})
     case = next(case for case in draw(20, seed=2) if case.kind == "single")
     short = next(trial for trial in case.fresh if trial.excitation == "rail-multisine")
     case = replace(case, planned=(replace(short, folder="trial-1"),), fresh=(replace(short, seed=99),))

@@ -24,22 +24,6 @@ LABELS = seal.Labels(
 )
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    data = tmp_path_factory.mktemp("blind") / "data"
-    for seed, case in enumerate(CASES):
-        record(lambda t: (0.2, 9.0), data / case / "trial-1", 0.5, seed=seed, kind="step")
-        model_file.save(Model(), data / case / "model.yaml")
-    return data
-
-
-@pytest.fixture
-def data(recorded, tmp_path):
-    shutil.copytree(recorded, tmp_path / "data")
-    seal.write_labels(LABELS, tmp_path / "sealed" / "labels.json", tmp_path / "data")
-    return tmp_path / "data"
-
-
 def names_gain(trials, model):
     """Stub of a method whose answer contains everything that it can read."""
     seen = [f"{trial.name} {trial.kind} {trial.source} {trial.warnings} {trial.missing}" for trial in trials]
@@ -50,9 +34,30 @@ def names_gain(trials, model):
     return Diagnosis(found, model, patched, (), margins={"pressure.gain": 0.4})
 
 
-@pytest.fixture(autouse=True)
-def stand_in(monkeypatch):
-    monkeypatch.setitem(run.METHODS, "diagnose", names_gain)
+@pytest.fixture(scope="module", autouse=True)
+def stand_in():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(run.METHODS, "diagnose", names_gain)
+        yield
+
+
+@pytest.fixture(scope="module")
+def answered(stand_in, tmp_path_factory):
+    """Return a folder with data, their sealed labels and the frozen answers."""
+    folder = tmp_path_factory.mktemp("blind")
+    for seed, case in enumerate(CASES):
+        record(lambda t: (0.2, 9.0), folder / "data" / case / "trial-1", 0.5, seed=seed, kind="step")
+        model_file.save(Model(), folder / "data" / case / "model.yaml")
+    seal.write_labels(LABELS, folder / "sealed" / "labels.json", folder / "data")
+    run.run(folder / "data", folder / "answers.json", workers=Workers(1))
+    return folder
+
+
+@pytest.fixture
+def data(answered, tmp_path):
+    """Return the data of a copy of that folder."""
+    shutil.copytree(answered, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "data"
 
 
 def answers_of(file):
@@ -60,17 +65,12 @@ def answers_of(file):
 
 
 def test_a_run_never_reads_the_labels(data, tmp_path):
-    texts = []
-    for name, labels in (("one", LABELS), ("other", seal.Labels("00" * 32, 4, {}))):
-        (data / seal.COMMITMENT).write_text(json.dumps(seal.commitment(labels)))
-        file = tmp_path / f"{name}.json"
-        run.run(data, file, workers=Workers(1))
-        texts.append(file.read_bytes())
+    (data / seal.COMMITMENT).write_text(json.dumps(seal.commitment(seal.Labels("00" * 32, 4, {}))))
+    run.run(data, tmp_path / "other.json", workers=Workers(1))
     shutil.rmtree(tmp_path / "sealed")
     (data / seal.COMMITMENT).unlink()
     run.run(data, tmp_path / "none.json", workers=Workers(1))
-    texts.append((tmp_path / "none.json").read_bytes())
-    assert len(set(texts)) == 1
+    assert len({(tmp_path / f"{name}.json").read_bytes() for name in ("answers", "other", "none")}) == 1
     assert set(answers_of(tmp_path / "none.json")) == set(CASES)
 
 
@@ -78,13 +78,14 @@ def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeyp
     file, seen = tmp_path / "answers.json", []
     monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
     run.run(data, file, workers=Workers(1))
+    assert seen == []
     csv = data / "case-b" / "trial-1" / "pressure.csv"
     csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:-1]))
     run.run(data, file, workers=Workers(1))
-    assert len(seen) == 4
+    assert len(seen) == 1
     monkeypatch.setattr(seal, "tool_version", lambda: "another")
     run.run(data, file, workers=Workers(1))
-    assert len(seen) == 7
+    assert len(seen) == 4
 
 
 def test_an_invalid_run_is_refused(data, tmp_path):
@@ -99,7 +100,6 @@ def test_an_invalid_run_is_refused(data, tmp_path):
 def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypatch):
     file, fresh = tmp_path / "answers.json", tmp_path / "fresh"
     shutil.copytree(data, fresh)
-    run.run(data, file, workers=Workers(1))
     asked = []
 
     def measure(trials, nominal, patched):
@@ -124,7 +124,6 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
 @pytest.mark.parametrize("broken", ["answers", "labels", "data", "incomplete", "twice"])
 def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
     file, labels = tmp_path / "answers.json", tmp_path / "sealed" / "labels.json"
-    run.run(data, file, workers=Workers(1))
     files = [file]
     if broken == "answers":
         file.write_text(file.read_text().replace("pressure.gain", "rail.gain"))

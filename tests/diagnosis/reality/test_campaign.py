@@ -30,7 +30,7 @@ def recorded(tmp_path_factory):
         robot = replace(sound, regulator=replace(sound.regulator, dead_time_s=dead_time_s))
         campaign = tmp_path_factory.mktemp("campaign")
         for seed, kind in enumerate(("pressure-multisine", "both")):
-            record(EXCITATIONS[kind].at, campaign / kind, 6.0, robot, seed, kind=kind)
+            record(EXCITATIONS[kind].at, campaign / kind, 4.5, robot, seed, kind=kind)
         return read_all([campaign])
 
     return fly

@@ -163,9 +163,9 @@ BODY = {
 
 @pytest.fixture(scope="module")
 def good_robots():
-    """Return a thousand robots without a cause."""
+    """Return robots without a cause."""
     random = np.random.default_rng(5)
-    return [draw_nuisances(RobotParameters(), random) for _ in range(1000)]
+    return [draw_nuisances(RobotParameters(), random) for _ in range(600)]
 
 
 @pytest.mark.parametrize("name", BODY)

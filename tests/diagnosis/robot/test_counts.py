@@ -201,7 +201,7 @@ def test_finite_differences_and_true_velocities_are_separated(robot, model):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["clock.missed_ticks", "clock.jitter"])
 def test_95_percent_intervals_hold_the_truth_95_times_in_100(name):
-    k, share, sigma_s, runs, inside = np.arange(400), 0.05, 0.004, 300, 0
+    k, share, sigma_s, runs, inside = np.arange(400), 0.05, 0.004, 200, 0
     truth = share if name == "clock.missed_ticks" else sigma_s
     for seed in range(runs):
         draw, trials = np.random.default_rng(seed), []

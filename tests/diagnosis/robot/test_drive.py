@@ -28,9 +28,9 @@ def law(trials, model=MODEL):
 @pytest.mark.parametrize(
     ("servo", "further"),
     [
-        *((True, further) for further in ("nothing", "friction", "force limit")),
+        *((True, further) for further in ("nothing", "force limit")),
         *((False, further) for further in ("nothing", "lag")),
-        *(pytest.param(True, further, marks=pytest.mark.prove) for further in ("lag", "delay")),
+        *(pytest.param(True, further, marks=pytest.mark.prove) for further in ("lag", "friction", "delay")),
         *(pytest.param(False, further, marks=pytest.mark.prove) for further in ("friction", "force limit", "delay")),
     ],
 )

@@ -50,8 +50,9 @@ def test_joints_are_off_by_shares_of_their_own_and_torques_by_shares_of_the_larg
 
 def test_a_tip_gap_belongs_to_the_rail_or_to_the_arm(campaign):
     """A command that the model takes for another moves the cart, a heavier tip what hangs from it."""
+    trials = campaign(kinds=("both", "rail-steps"))
     slower = Model(effects=Model().effects | {"rail.gain": {"scale": 0.1}})
-    assert stage_of_tip_gap(on_grid(campaign(), slower), slower) == "rail"
+    assert stage_of_tip_gap(on_grid(trials, slower), slower) == "rail"
     loaded = Model(effects=Model().effects | {"arm.payload": {"mass": 0.06}})
-    assert stage_of_tip_gap(on_grid(campaign(), loaded), loaded) == "arm"
-    assert np.isfinite(tip_gap(on_grid(campaign(), loaded), loaded, [{}])).any()
+    assert stage_of_tip_gap(on_grid(trials, loaded), loaded) == "arm"
+    assert np.isfinite(tip_gap(on_grid(trials, loaded), loaded, [{}])).any()
