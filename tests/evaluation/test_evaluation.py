@@ -35,6 +35,7 @@ def test_the_wide_policy_reaches_nine_of_ten():
     assert success["all"] >= 0.90
 
 
+@pytest.mark.prove
 @pytest.mark.usefixtures("starts")
 def test_pid_reaches_few_targets():
     """[P] SM-I: 17 %, never above z = 0.56 m."""

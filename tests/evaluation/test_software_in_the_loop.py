@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from contextlib import ExitStack
 
 import pytest
 
@@ -47,8 +48,8 @@ def test_a_goal_set_by_rest_is_reached_and_recorded(sil):
 
 @pytest.mark.slow
 def test_a_daemon_that_ends_at_once_is_reported_with_its_output(tmp_path):
-    with (
-        pytest.raises(SoftwareInTheLoopError, match=r"`softarm run` ended with 1:\n.*no policy 'raech'"),
-        SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "raech"}}),
-    ):
-        pass
+    alone = SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "raech"}})
+    with ExitStack() as end:
+        end.push(alone)
+        with pytest.raises(SoftwareInTheLoopError, match=r"`softarm run` ended with 1:\n.*no policy 'raech'"):
+            alone.start_daemon()

@@ -17,7 +17,9 @@ from softarm.training.trajectory import ceiling
 pytestmark = pytest.mark.slow
 
 
-def test_a_test_on_another_model_has_a_separate_column():
+def test_a_test_on_another_model_has_a_separate_column(monkeypatch):
+    few = tests.TESTS["shelf"].scenarios()[:1]
+    monkeypatch.setitem(tests.TESTS, "shelf", tests.Test("", lambda: few))
     found = entries.given(("pid",))
     result = table.compare(found, Workers(1), ("shelf@no-delay",))
     assert list(result["policies"]["pid"]) == ["shelf@no-delay"]
@@ -54,16 +56,16 @@ def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
 
 
 def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero(monkeypatch):
-    every = tests.TESTS["swinging"].scenarios()[::6]
+    every = tests.TESTS["swinging"].scenarios()[::18]
     monkeypatch.setitem(tests.TESTS, "swinging", tests.Test("", lambda: every))
-    swinging = [Job(Entry("trajectory"), "swinging", range(27)), Job(Entry("trajectory"), "shelf", range(12))]
+    swinging = [Job(Entry("trajectory"), "swinging", range(9)), Job(Entry("trajectory"), "shelf", range(12))]
     result = table.summary({job: table.measure(job) for job in swinging})
     figures, notes = result["policies"]["trajectory"], result["notes"]["trajectory"]
     assert 0.5 < figures["swinging"]["refused"] < 1.0
     assert figures["swinging"]["mean"] <= 1.0 - figures["swinging"]["refused"]
-    refused = round(27 * figures["swinging"]["refused"])
+    refused = round(9 * figures["swinging"]["refused"])
     assert notes["swinging"] == [
-        f"refused {refused} of 27 trials, which count as not reached; the first: no plan from here"
+        f"refused {refused} of 9 trials, which count as not reached; the first: no plan from here"
     ]
     assert figures["shelf"]["refused"] == 1.0
     row, *_ = (line for line in page.markdown(result).splitlines() if line.startswith("| trajectory"))
@@ -86,10 +88,10 @@ def test_a_figure_outside_the_training_range_has_a_note():
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.prove)])
 def test_the_size_of_jobs_and_the_number_of_processes_do_not_change_the_table(monkeypatch, processes):
-    found, few = entries.given(("pid", "shelf")), tests.TESTS["shelf"].scenarios()[::3]
+    found, few = entries.given(("pid", "shelf")), tests.TESTS["shelf"].scenarios()[::6]
     monkeypatch.setitem(tests.TESTS, "shelf", tests.Test("", lambda: few))
     alone = table.compare(found, Workers(1), ("shelf",))
-    monkeypatch.setattr(table, "PART", 3)
+    monkeypatch.setattr(table, "PART", 1)
     assert table.compare(found, Workers(processes), ("shelf",)) == alone
     assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]
 

@@ -40,8 +40,6 @@ class Plugged:
     def step(self, observation, goal):
         if self.does == "crashes":
             os.kill(os.getpid(), signal.SIGSEGV)
-        if self.does == "raises":
-            raise ValueError("no weights")
         if self.does == "leaves":
             os._exit(3)
         if self.does == "hoards":
@@ -65,10 +63,6 @@ def plugged(install, tmp_path, monkeypatch):
     return lambda does: {"mine": Configured(plugin="plugged", options={"does": does})}
 
 
-def test_a_good_policy_passes_whatever_it_prints(plugged):
-    try_out("mine", plugged("well"), 60)
-
-
 def test_a_trial_does_not_inherit_the_daemons_priority(plugged):
     thread = threading.get_native_id()
     try:
@@ -85,8 +79,7 @@ def test_a_trial_does_not_inherit_the_daemons_priority(plugged):
     ("does", "sentence"),
     [
         ("leaves", "policy 'mine': its process ended with exit code 3"),
-        ("raises", r"policy 'mine': its first step failed \(ValueError: no weights\)"),
-        ("hoards", "policy 'mine': its first step failed .*Unable to allocate"),
+        ("hoards", r"policy 'mine': its first step failed \(.*MemoryError: Unable to allocate"),
     ],
 )
 def test_a_failed_trial_is_reported(plugged, does, sentence):
@@ -111,6 +104,7 @@ def test_a_trial_ends_with_its_daemon(plugged, tmp_path):
 
 
 def test_a_policy_is_loaded_only_after_its_trial(plugged):
-    assert trial.load("hold", {}, 60).spec.name == "hold"
+    """A good one passes, whatever it prints."""
+    assert trial.load("mine", plugged("well"), 60).spec.name == "mine"
     with pytest.raises(PolicyError, match="policy 'mine': its process ended by SIGSEGV during its trial"):
         trial.load("mine", plugged("crashes"), 60)

@@ -138,9 +138,8 @@ def test_a_second_guess_replaces_a_plan_that_misses(small, monkeypatch):
 
 
 def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
-    monkeypatch.setattr(ceiling, "ROUNDS", 6)
-    monkeypatch.setattr(ceiling, "POPULATION", 48)
-    monkeypatch.setattr(ceiling, "ELITES", 6)
+    for name, value in {"ROUNDS": 5, "POPULATION": 32, "ELITES": 5}.items():
+        monkeypatch.setattr(ceiling, name, value)
     found = ceiling.search(TARGETS, 0.1, seed=1)
     np.testing.assert_array_equal(np.isfinite(found.reached_s), REACHABLE)
     assert 0.1 < found.closest_m[2] < 0.2

@@ -72,7 +72,7 @@ def configured(tmp_path):
 
 @pytest.mark.slow
 def test_trained_and_configured_policies_are_compared_with_shipped_ones(configured, tmp_path, monkeypatch):
-    few = flights.shelf()[::4]
+    few = flights.shelf()[::6]
     monkeypatch.setitem(tests.TESTS, "shelf", tests.Test("", lambda: few))
     file = tmp_path / "trained.onnx"
     file.symlink_to(MODELS / "shelf.onnx")
@@ -139,9 +139,11 @@ def test_a_policy_that_cannot_be_used_is_refused_before_anything_flies(measured,
 @pytest.mark.slow
 def test_the_film_shows_the_policy(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    few = flights.grid()[::20]
+    few = flights.grid()[::40]
     monkeypatch.setattr(flights, "grid", lambda: few)
-    film = (MODELS / "shelf.onnx", "--film", "a.gif", "--target", -0.45, 0.6)
+    (tmp_path / "short.yaml").write_text("goals: {time_limit_s: 0.5}\n")
+    monkeypatch.setattr("softarm.evaluation.film.AFTER_TICKS", 3)
+    film = (MODELS / "shelf.onnx", "--film", "a.gif", "--target", -0.45, 0.6, "--config", "short.yaml")
     result = run(*film, "--workers", 1)
     assert result.exit_code == 2
     assert "--workers goes with a comparison" in result.stderr

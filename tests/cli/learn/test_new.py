@@ -55,15 +55,16 @@ def run(cwd: Path, *command: str, folders: Iterable[Path] = ()) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-# Over 3 s: a process of its own flies.
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", ["not training", pytest.param("training", marks=pytest.mark.prove)])
-def test_the_tests_of_new_packages_pass(written: dict[str, Path], chosen: str) -> None:
-    """All run in one process, which saves imports."""
-    tests = [str(folder / "tests") for folder in written.values()]
-    folder = written["policy"]
-    plain = ("-q", "-p", "no:cacheprovider", "-p", "no:schemathesis")
-    run(folder, "pytest", *plain, "-k", chosen, "--rootdir", str(folder), *tests, folders=written.values())
+def test_the_tests_of_new_packages_pass(written: dict[str, Path], chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They run in this process, which saves imports."""
+    for folder in written.values():
+        monkeypatch.syspath_prepend(str(folder))
+    plugins = ("cacheprovider", "faulthandler", "schemathesis", "timeout", "xdist")
+    plain = ("-q", "-s", "--import-mode=importlib", *(word for name in plugins for word in ("-p", f"no:{name}")))
+    tests = (str(folder / "tests") for folder in written.values())
+    assert pytest.main([*plain, "-k", chosen, "--rootdir", str(written["policy"]), *tests]) == 0
 
 
 def test_new_packages_pass_their_style_checks(written: dict[str, Path]) -> None:

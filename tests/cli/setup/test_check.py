@@ -1,11 +1,13 @@
 """Tests of `softarm check`."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from softarm.policies import registry, trial
+from softarm.schemas.excitation import EXCITATIONS
 from tests.cli.invoke import invoke
 
 ROOT = Path(__file__).parents[3]
@@ -93,7 +95,7 @@ def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return a folder with a log of a robot whose rail is late and weak."""
+    """Return a folder with a log of a robot whose rail is late and weak, from fewer reversals than are usual."""
     folder = tmp_path_factory.mktemp("logs")
     config = folder / "careful.yaml"
     careful = "{latency_s: 0.09, braking_m_s2: 1, velocity_max_m_s: 0.6}"
@@ -103,7 +105,15 @@ def logs(tmp_path_factory):
     rail = "rail.delay: {delay: 0.06}, rail.acceleration_limit: {acceleration: 4}"
     model.write_text(f"effects: {{{lag}, {rail}}}\n")
     played = ["excite", "rail-dashes", "--simulated", "--config", str(config), "--model", str(model)]
-    result = invoke(*played)
+    usual = EXCITATIONS["rail-dashes"]
+    fewer = replace(
+        usual,
+        pressure_kpa=(usual.pressure_kpa[0], replace(usual.pressure_kpa[1], duration_s=36.0)),
+        cart_velocity_m_s=usual.cart_velocity_m_s[:185],
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(EXCITATIONS, "rail-dashes", fewer)
+        result = invoke(*played)
     assert result.exit_code == 0, result.output
     return folder
 

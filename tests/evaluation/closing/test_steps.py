@@ -14,7 +14,7 @@ from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
-from softarm.schemas.config import Config, Limits, RailLimits
+from softarm.schemas.config import Config, Goals, Limits, RailLimits
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.verdict import Verdict, Where
@@ -25,7 +25,7 @@ from tests.evaluation.closing import cases
 
 pytestmark = pytest.mark.slow
 
-CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)))
+CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)), goals=Goals(time_limit_s=1.5))
 RAIL = cases.findings(CAREFUL, cases.seen())
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches

@@ -103,7 +103,7 @@ def test_the_number_of_threads_changes_no_bit():
     results = []
     for count in (1, 3):
         with workers(count) as pool:
-            ppo = learner(pool, robots=1024, horizon=4, minibatches=2)
+            ppo = learner(pool, robots=1024, horizon=2, minibatches=2)
             ppo.iterate()
             results.append(ppo.network.state_dict())
     assert all(torch.equal(results[0][key], results[1][key]) for key in results[0])

@@ -1,5 +1,6 @@
 """Networks of other learners become files that the daemon flies, number for number."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import ACTION
 from softarm.training.record import foreign
 from softarm.training.record.foreign import ForeignNetworkError
-from softarm.training.task.reach import ShelfTask
+from softarm.training.task.reach import TASKS, ShelfTask
 
+SHORT = replace(TASKS["reach"], episode_steps=20)
 MEAN = np.array([0.1, 0, -0.2, 0.6, 0, 0, 0, 5.0, -0.2, 0.6], np.float32)
 SCALE = np.array([0.1, 0.3, 0.2, 0.1, 1, 1, 0.3, 8.0, 0.1, 0.05], np.float32)
 
@@ -31,7 +33,7 @@ def network(*between: nn.Module, inputs: int = 10) -> nn.Sequential:
 def test_the_file_computes_the_networks_actions(layer: nn.Module, tmp_path: Path) -> None:
     layers = network(layer)
     share = foreign.export(
-        layers, tmp_path / "mine.onnx", mean=MEAN, scale=SCALE, cut=2.0, training={"learner": "mine"}
+        layers, tmp_path / "mine.onnx", SHORT, mean=MEAN, scale=SCALE, cut=2.0, training={"learner": "mine"}
     )
     policy = OnnxPolicy(str(tmp_path / "mine.onnx"))  # which replays its golden run
     assert policy.metadata.validation_success == share
@@ -47,7 +49,7 @@ def test_the_file_computes_the_networks_actions(layer: nn.Module, tmp_path: Path
 
 
 def test_a_task_with_a_longer_observation_is_exported(tmp_path: Path) -> None:
-    foreign.export(network(nn.Tanh(), inputs=11), tmp_path / "shelf.onnx", ShelfTask())
+    foreign.export(network(nn.Tanh(), inputs=11), tmp_path / "shelf.onnx", ShelfTask(episode_steps=20))
     assert OnnxPolicy(str(tmp_path / "shelf.onnx")).metadata.task == "shelf"
 
 

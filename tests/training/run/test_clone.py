@@ -36,6 +36,7 @@ def dataset(tmp_path_factory) -> Path:
 
 def test_a_cloned_policy_flies_and_its_file_has_dataset_and_ranges(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(clone, "FRAMES", 3000)
+    monkeypatch.setattr(clone, "VALIDATIONS", 2)
     ran = invoke("train", "--from", dataset, "--out", tmp_path / "run")
     assert ran.exit_code == 0, ran.output
     kept = [episode for episode in lerobot.read(dataset) if episode.reached]

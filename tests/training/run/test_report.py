@@ -36,11 +36,11 @@ def session(out, pool, task=None):
 
 
 @cache
-def flown(every=1):
-    """The 54 targets, or some of them, by the shipped policy: most reached, some missed."""
+def flown():
+    """Fly the shipped policy to every seventh target: most are reached, some missed."""
     prior = retrain.load_weights(SHIPPED)
     with workers(1) as pool:
-        trials = validation.combined(grid(flights.TEST_TARGETS[::every]), Model().arm.links)
+        trials = validation.combined(grid(flights.TEST_TARGETS[::7]), Model().arm.links)
         outcome = validation.fly(prior.network, prior.task, trials, pool, physics_rate_hz=240.0)
     return validation.Tested(flights.shares(outcome.reached, trials.target_m[:, 1]), trials, outcome)
 
@@ -55,7 +55,7 @@ def flown_at_shelf(run, pool):
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_training_without_tensorboard_continues_with_one_message(tmp_path, monkeypatch):
     monkeypatch.setattr(curve, "find_spec", lambda name: None)
-    monkeypatch.setattr(report, "fly_test_trials", lambda session: flown(9))
+    monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
     monkeypatch.setitem(recipe.RECIPES, "reach", recipe.RECIPES["reach"].model_copy(update={"frames": FRAMES}))
     arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
     result = CliRunner().invoke(train, arguments)
@@ -82,18 +82,9 @@ def test_a_training_that_is_too_short_says_so_and_is_not_evaluated(tmp_path, mon
     assert not (tmp_path / "report.html").exists()
 
 
-@pytest.mark.usefixtures("plain_pictures")
-def test_a_read_only_folder_does_not_stop_a_run(tmp_path, pool):
-    (tmp_path / "tensorboard").write_text("in the way")
-    run = session(tmp_path, pool)
-    run.run(frames=2 * FRAMES, minutes=None)
-    assert len(run.curve) == 2
-    assert str(tmp_path / "tensorboard") in run.events.fault
-
-
 def test_paths_of_successes_end_at_the_target():
     trials, outcome = flown().scenarios, flown().flown
-    assert 20 < outcome.reached.sum() < 150, "trials that all end alike would prove nothing"
+    assert 5 < outcome.reached.sum() < 22, "trials that all end alike would prove nothing"
     np.testing.assert_allclose(outcome.tip_m[0, :, 0], trials.starts.cart_position_m, atol=1e-3)  # the arm hangs
     for trial, reached in enumerate(outcome.reached):
         path = outcome.tip_m[:, trial]
@@ -106,12 +97,12 @@ def test_paths_of_successes_end_at_the_target():
         assert away.min() == pytest.approx(outcome.closest_m[trial], abs=1e-6)
 
 
-def test_the_picture_shows_every_trial_of_the_54_targets():
+def test_the_picture_shows_every_trial_of_each_target():
     tested = flown()
     figure = report.draw(tested, ReachTask(), "reach, seed 1")
-    assert len(figure.axes) == 54
+    assert len(figure.axes) == 8
     drawn = {line.get_gid(): line for axes in figure.axes for line in axes.get_lines() if line.get_gid()}
-    assert drawn.keys() == {f"trial-{k}" for k in range(162)}
+    assert drawn.keys() == {f"trial-{k}" for k in range(24)}
     for k, reached in enumerate(tested.flown.reached):
         line = drawn[f"trial-{k}"]
         assert line.get_color() == (report.REACHED if reached else report.MISSED)
@@ -128,10 +119,13 @@ def test_the_picture_shows_every_trial_of_the_54_targets():
     assert any(word.endswith("cm away") for word in words)
 
 
-def test_a_report_is_one_self_contained_file(tmp_path, pool):
+def test_a_report_is_one_self_contained_file_also_without_a_folder_for_tensorboard(tmp_path, pool):
+    (tmp_path / "tensorboard").write_text("in the way")
     run = session(tmp_path, pool)
     run.run(frames=2 * FRAMES, minutes=None)
-    text = report.write(run, flown(9)).read_text()
+    assert len(run.curve) == 2
+    assert str(tmp_path / "tensorboard") in run.events.fault
+    text = report.write(run, flown()).read_text()
     for picture in ("learning_curve.png", "tip_paths.png"):
         content = (tmp_path / picture).read_bytes()
         assert content.startswith(b"\x89PNG")
@@ -139,7 +133,7 @@ def test_a_report_is_one_self_contained_file(tmp_path, pool):
     assert "http://" not in text
     assert "https://" not in text
     assert "<script" not in text
-    assert flown(9).report.sentence in text
+    assert flown().report.sentence in text
     assert "<code>run.robots</code></th><td>16</td><td>2048</td>" in text
     assert "ppo." not in text  # as usual
     assert f"{run.best:.1%}" in text

@@ -76,6 +76,7 @@ def stored(rows):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_killed_run_is_resumed_bit_for_bit_and_each_point_is_shown_once(finished, tmp_path, pool):
     killed = session(tmp_path, pool)
     for _ in range(3):  # one beyond its last checkpoint
@@ -99,6 +100,7 @@ def test_a_killed_run_is_resumed_bit_for_bit_and_each_point_is_shown_once(finish
     assert resumed.events.fault is None
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_validation_uses_a_moving_average_of_the_weights(tmp_path, pool):
     run = session(tmp_path, pool)
     expected = torch.zeros_like(run.network.value_head.weight)

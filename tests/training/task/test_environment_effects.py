@@ -54,14 +54,20 @@ def same(ours: list[Step], theirs: list[Step]) -> bool:
     return all(np.array_equal(a, b) for x, y in zip(ours, theirs, strict=True) for a, b in zip(x, y, strict=True))
 
 
+@pytest.fixture(scope="module")
+def plain() -> list[Step]:
+    """Return the steps of robots without effects of sensors and clock."""
+    return fly(begin())
+
+
 @pytest.mark.parametrize("name", OURS)
-def test_each_effect_changes_what_is_observed(name):
-    plain, changed = fly(begin()), fly(begin(model(**{name: exemplars()[name]})))
+def test_each_effect_changes_what_is_observed(name, plain):
+    changed = fly(begin(model(**{name: exemplars()[name]})))
     assert any(not np.allclose(a.observation, b.observation, atol=1e-6) for a, b in zip(plain, changed, strict=True))
 
 
-def test_latency_of_a_tick_shows_the_tick_before():
-    plain, late = fly(begin()), fly(begin(model(mocap__latency={"delay": TICK_S})))
+def test_latency_of_a_tick_shows_the_tick_before(plain):
+    late = fly(begin(model(mocap__latency={"delay": TICK_S})))
     for before, now in zip(plain[:-1], late[1:], strict=True):
         np.testing.assert_allclose(now.observation[:, [0, 2, 3]], before.observation[:, [0, 2, 3]], atol=1e-6)
         np.testing.assert_allclose(now.observation[:, RATES], before.observation[:, RATES], atol=1e-4)

@@ -102,6 +102,7 @@ def test_an_invalid_reward_is_refused(reward, text):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path, pool):
     out, settings = tmp_path / "run", {"run.robots": 8, "run.validation_trials": 12}
     recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)
