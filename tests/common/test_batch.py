@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from softarm.common import batch, cluster
 from softarm.common.batch import Kept, Work, Workers
+from tests.common.work import squared
 
 KEYS = st.lists(st.text("abc -", min_size=1, max_size=5), unique=True, max_size=8)
 HERE, FAKE = Workers(1), Workers(ray="local")
@@ -58,12 +59,6 @@ def ray(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", fake)
     monkeypatch.setattr(cluster, "_end_with", lambda parent: None)
     return fake
-
-
-def squared(number):
-    if number < 0:
-        raise ValueError(f"{number} is negative\nand more")
-    return {"square": number * number}
 
 
 def copied(place):

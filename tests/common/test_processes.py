@@ -11,6 +11,7 @@ import pytest
 
 from softarm.common import processes
 from softarm.common.processes import WorkClock, WorkerDied, _Lines, as_they_come, bar, left_s
+from tests.common.work import killed, noted, squared, surroundings
 from tests.processes import gone, until
 
 ROOT = Path(__file__).parents[2]
@@ -35,31 +36,6 @@ def workers_find_this_file(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
 
 
-def squared(number):
-    return number * number, os.getpid(), os.environ["OMP_NUM_THREADS"]
-
-
-def on_interrupt(_number):
-    return signal.getsignal(signal.SIGINT)
-
-
-def failing(number):
-    if number == 1:
-        raise ValueError("no such thing as 1")
-    return number
-
-
-def killed(number):
-    if number == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-def noted(folder, number):
-    (folder / str(number)).touch()
-    return number
-
-
 def test_one_process_is_this_one_and_works_in_order(tmp_path):
     begun = as_they_come(partial(noted, tmp_path), [5, 3, 4], 1)
     assert next(begun) == (5, 5)
@@ -67,25 +43,22 @@ def test_one_process_is_this_one_and_works_in_order(tmp_path):
     assert list(begun) == [(3, 3), (4, 4)]
 
 
-def test_workers_are_others_with_a_thread_each_and_this_process_keeps_its_own(monkeypatch):
+def test_workers_are_others_with_a_thread_each_which_ctrl_c_ends_without_a_word(monkeypatch):
+    """This process keeps its own number of threads."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
-    results = [result for _, result in as_they_come(squared, [2, 3], 2)]
-    assert {value for value, _, _ in results} == {4, 9}
-    assert os.getpid() not in {pid for _, pid, _ in results}
-    assert {threads for _, _, threads in results} == {"1"}
+    found = dict(as_they_come(surroundings, [2, 3], 2))
+    assert set(found) == {2, 3}
+    assert os.getpid() not in {pid for pid, _, _ in found.values()}
+    assert {(threads, handler) for _, threads, handler in found.values()} == {("1", signal.SIG_DFL)}
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "NUMBA_NUM_THREADS" not in os.environ
 
 
-def test_ctrl_c_ends_a_worker_without_a_word():
-    assert {result for _, result in as_they_come(on_interrupt, [0, 1], 2)} == {signal.SIG_DFL}
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_errors_of_the_work_are_passed_on(count):
-    with pytest.raises(ValueError, match="no such thing as 1"):
-        list(as_they_come(failing, [0, 1, 2], count))
+    with pytest.raises(ValueError, match="-1 is negative"):
+        list(as_they_come(squared, [0, -1, 2], count))
 
 
 def test_a_killed_worker_is_reported():

@@ -98,7 +98,7 @@ ticks = st.lists(st.tuples(st.sampled_from(ORDERS), st.sampled_from(list(CAUSES)
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(ticks)
 def test_only_an_acknowledgement_without_a_cause_clears_a_latch(story) -> None:
     rig = Rig()

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softarm.common import yaml_lines
@@ -70,6 +70,7 @@ def test_a_value_that_is_not_allowed_is_refused():
         edited("api:\n  port: 1\n", centre_m=7.0)
 
 
+@settings(max_examples=20)
 @given(st.floats(-2, 2), st.booleans(), st.sampled_from([EXAMPLE, TWIN]))
 def test_an_edited_file_reads_back_its_values(centre_m: float, reversed: bool, file: Path):
     text = file.read_text(encoding="utf-8")

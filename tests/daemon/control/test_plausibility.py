@@ -182,7 +182,7 @@ def test_no_simulated_swing_is_implausible(effects):
     daemon.arm()
     found = set()
     daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
-    for _ in range(500):
+    for _ in range(250):
         found |= {event.name for event in daemon.tick().events}
     assert not {name for name in found if name.startswith("mocap")} - {"mocap_late", "mocap_bridged"}
 

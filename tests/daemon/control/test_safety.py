@@ -65,12 +65,12 @@ class RampingCart:
         self.position, self.velocity = position, 0.0
         self._pulls = pulls
         self._queue = deque([0.0] * round(RAIL.latency_s * 1000))
-        self.track: list[RailReading] = []  # of every millisecond
+        self.track: list[tuple[float, float]] = []  # position and velocity of every millisecond
 
     def advance(self, set_point: float, tick: int, steps: int) -> None:
         pull = self._pulls[tick % len(self._pulls)]
         for step in range(steps):
-            self.track.append(read(self.position, self.velocity, len(self.track) * 1_000_000))
+            self.track.append((self.position, self.velocity))
             self._queue.append(set_point if step < HOLD_S * 1000 else 0.0)
             gap = self._queue.popleft() - self.velocity
             ramp = 6.0 + pull * math.copysign(1.0, gap)  # the arm pulls towards +y
@@ -91,10 +91,12 @@ def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, star
     cart = RampingCart(start, pulls)
     cart.advance(0.0, 0, 1)
     for tick, velocity in enumerate([*velocities, 1.0, 1.0, 1.0, 1.0, 1.0]):
-        seen = cart.track[max(0, len(cart.track) - 1 - ages[tick % len(ages)])]
-        sent, _ = safety.apply(Command(True, velocity, 0.0), seen, (len(cart.track) - 1) * 1_000_000)
+        now = len(cart.track) - 1
+        then = max(0, now - ages[tick % len(ages)])
+        seen = read(*cart.track[then], then * 1_000_000)
+        sent, _ = safety.apply(Command(True, velocity, 0.0), seen, now * 1_000_000)
         cart.advance(sent.cart_velocity_m_s, tick, pauses[tick % len(pauses)])
-    assert all(RAIL.position_min_m <= each.position_m <= RAIL.position_max_m for each in cart.track)
+    assert all(RAIL.position_min_m <= position <= RAIL.position_max_m for position, _ in cart.track)
 
 
 def test_at_the_end_of_the_rail_only_motion_inwards_is_allowed():
@@ -158,7 +160,7 @@ def test_a_stamp_ahead_of_the_clock_is_a_reading_of_now():
     assert ahead == now
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 def test_forgotten_commands_can_no_longer_act(seed):
     """With the oldest usable reading and skipped ticks, the law gives the same as with all sent commands."""
     draw = np.random.default_rng(seed)
@@ -246,16 +248,11 @@ class Swinging(BangBang):
         return np.array([self._sense * swing, 20.0 * (swing < 0)], dtype=np.float32)
 
 
-@pytest.mark.parametrize(
-    "policies",
-    [[BangBang(0), BangBang(1), BangBang(2)], [Swinging(1.0)], [Swinging(-1.0)]],
-    ids=["random", "with", "against"],
-)
-def test_on_the_simulated_robot_no_policy_passes_the_limits(policies):
+@pytest.mark.parametrize("policy", [BangBang(0), Swinging(1.0), Swinging(-1.0)], ids=["random", "with", "against"])
+def test_on_the_simulated_robot_no_policy_passes_the_limits(policy):
     """The limits hold with the arm's pull, which the filter does not model."""
-    for policy in policies:
-        flights = Lockstep(Config(), policy)
-        for start in (-0.2, 0.0, 0.2):
-            flight = flights.fly(Goal("reach", 0.59, 0.51), start)
-            assert flight.status.state == "failed"  # out of time, not stopped by the failsafe
-            assert 0.1 < flight.max_cart_m <= 0.25
+    flights = Lockstep(Config(), policy)
+    for start in (-0.2, 0.0, 0.2):
+        flight = flights.fly(Goal("reach", 0.59, 0.51), start)
+        assert flight.status.state == "failed"  # out of time, not stopped by the failsafe
+        assert 0.1 < flight.max_cart_m <= 0.25

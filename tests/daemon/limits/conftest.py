@@ -9,7 +9,7 @@ import pytest
 
 from softarm.recordings.rail_motion import RailMotion
 
-TICK_S, STEP_S = 1 / 30, 0.001
+TICK_S, STEP_S = 1 / 30, 0.002
 SOFT_S = 0.02  # of the drive's velocity loop near its set-point
 
 
@@ -18,7 +18,7 @@ def _cart(
     latency_s: float = 1 / 30,
     pull_m_s2: float = 0.0,
     *,
-    seconds: float = 90.0,
+    seconds: float = 60.0,
     age_s: float = 0.0,
     filter_s: float = 0.0,
     quantum_m_s: float = 1e-3,

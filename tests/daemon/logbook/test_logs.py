@@ -92,9 +92,9 @@ def unfinished(directory: Path, ticks) -> Path:
 
 @pytest.mark.slow
 @settings(
-    deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
-@given(ticks=st.lists(tick, min_size=1, max_size=8))
+@given(ticks=st.lists(tick, min_size=1, max_size=3))
 def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):
     log = logs.read(record(tmp_path, ticks, idle_interval_s=0))
     assert log.finished

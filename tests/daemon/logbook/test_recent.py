@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from softarm.daemon.control.records import EStop, Mode, Observed, Outputs
+from softarm.daemon.logbook import recent as module
 from softarm.daemon.logbook.recent import BLOCK, KEPT, NAMES, SPARE, Recent
 from softarm.schemas.messages import BODY_NAMES, Command, MocapFrame, Pose
 from softarm.schemas.policy import Observation
@@ -92,15 +93,18 @@ def test_the_newest_seconds_are_returned_without_a_gap(ticks, seconds):
     assert min(ticks, 30 * seconds) <= len(said["tick"]) <= 30 * seconds + 2 * BLOCK
 
 
-def test_memory_is_bounded_and_the_oldest_are_dropped():
-    recent = filled(KEPT + SPARE + 100)
+def test_memory_is_bounded_and_the_oldest_are_dropped(monkeypatch):
+    assert KEPT == 600 * BLOCK
+    kept = 40 * BLOCK
+    monkeypatch.setattr(module, "KEPT", kept)
+    recent = filled(kept + SPARE + 100)
     said = json.loads(recent.json(600))
-    assert KEPT - BLOCK <= len(said["tick"]) <= KEPT
-    assert said["tick"] == list(range(said["tick"][0], KEPT + SPARE + 101))
-    for number in range(KEPT + SPARE + 101, KEPT + SPARE + 2000):
+    assert kept - BLOCK <= len(said["tick"]) <= kept
+    assert said["tick"] == list(range(said["tick"][0], kept + SPARE + 101))
+    for number in range(kept + SPARE + 101, kept + SPARE + 2000):
         recent.take(replace(FLOWN, tick=number, t_ns=number * STEP_NS))
-    assert json.loads(recent.json(600))["tick"][-1] == KEPT + SPARE + 1999
-    assert len(recent._texts) <= KEPT // BLOCK + 1
+    assert json.loads(recent.json(600))["tick"][-1] == kept + SPARE + 1999
+    assert len(recent._texts) <= kept // BLOCK + 1
 
 
 def test_cached_text_stays_correct():

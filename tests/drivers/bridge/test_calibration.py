@@ -47,11 +47,12 @@ class Lab:
     def __post_init__(self):
         self.random = np.random.default_rng(self.seed)
         self.plane = Plane(self.room)
+        self.shape = rest_shape(self.straight)
 
     def poses(self, cart_m, swing_rad=0.0):
         """Return the bodies for a cart at y; `swing` is added to every angle."""
         poses = {}
-        for name, rest in rest_shape(self.straight).items():
+        for name, rest in self.shape.items():
             far = math.hypot(rest.y_m, rest.z_m)
             way = math.atan2(rest.y_m, -rest.z_m) + swing_rad
             angle = 0.0 if name == "cart" else rest.angle_rad + swing_rad
@@ -127,7 +128,6 @@ labs = st.builds(
 
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase_.generate, Phase_.explicit])
 @given(labs)
-@pytest.mark.slow
 def test_poses_are_recovered_within_two_millimetres(lab):
     found = lab.found()
     worst_m, worst_rad = lab.farthest(found)

@@ -128,7 +128,7 @@ def twin(served: Any) -> Iterator[TwinWorld]:
 
 @pytest.fixture
 def outside(free_port: int) -> Iterator[OutsideWorld]:
-    world, ended = OutsideWorld(0.1), threading.Event()
+    world, ended = OutsideWorld(0.25), threading.Event()
     world.port = free_port
     world.pause(0.01)
     port = Port(world.drive, "127.0.0.1", free_port)
