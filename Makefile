@@ -45,6 +45,7 @@ quick: .venv/.compiled
 lint:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m tools.prose
 
 types:
 	$(BIN)/mypy
