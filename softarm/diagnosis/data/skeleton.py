@@ -1,6 +1,6 @@
 """Joints of a MuJoCo model that tracked sites and bodies determine (inverse kinematics)."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +24,8 @@ STEPS_MOST, STEP_MOST, STEP_LEAST, DAMPING = 30, 0.3, 1e-5, 1e-9
 STARTS, ALIKE, ALIKE_M = 24, 2.0, 1e-4
 # Range in which a joint without a limit is sought, rad or m, and distance by which poses may exceed a limit.
 WIDE, BEYOND = np.pi, 0.1
+# Distance below which two poses are the same, rad or m.
+MET = 1e-3
 _TURN = frozenset(each[1:] for each in QUATERNION)
 
 
@@ -90,7 +92,7 @@ class Skeleton:
         turns = model.jnt_type[numbers] == int(kinds.mjJNT_HINGE)
         self.units = tuple("rad" if each else "m" for each in turns)
         self._at, self._dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
-        limited = model.jnt_limited[numbers].astype(bool)
+        self._limited = limited = model.jnt_limited[numbers].astype(bool)
         self._low = np.where(limited, model.jnt_range[numbers, 0], -WIDE)
         self._high = np.where(limited, model.jnt_range[numbers, 1], WIDE)
         self._turns = turns
@@ -159,11 +161,36 @@ class Skeleton:
         for rows in (range(start, len(qpos)), range(start, -1, -1)):
             last, change = near, np.zeros_like(near)
             for row in rows:
-                found[row] = pose, error_m, _ = self._solved(
-                    seen.places[row], seen.turns[row], qpos[row], last + change
-                )
+                found[row] = self._solved(seen.places[row], seen.turns[row], qpos[row], last + change)
+                if found[row][1] < most_m and self._is_beyond(found[row][0]) and not self._is_beyond(last):
+                    self._mirror_back(found, seen, qpos, [*range(row, start, -rows.step)])
+                pose, error_m, _ = found[row]
                 last, change = (pose, pose - last) if error_m < most_m else (last, np.zeros_like(near))
         return Poses(*map(np.array, zip(*found, strict=True)))
+
+    def _mirror_back(
+        self, found: list[tuple[Array, float, float]], seen: Tracked, qpos: Array, rows: Sequence[int]
+    ) -> None:
+        """Replace poses that went on mirrored where the points did not show a joint, such as at a stretched elbow.
+
+        Args:
+            found: poses, changed in place.
+            seen, qpos: see `followed`.
+            rows: rows in which to replace them until both meet; the first has a joint beyond its range.
+        """
+        near = self.poses(seen, qpos, rows[0]).positions[0] if rows else None
+        if near is None or self._is_beyond(near):
+            return
+        for row in rows:
+            other = self._solved(seen.places[row], seen.turns[row], qpos[row], near)
+            if self.distance(other[0], found[row][0]) < MET:
+                return
+            found[row], near = other, other[0]
+
+    def _is_beyond(self, pose: Array) -> bool:
+        """Return whether a joint is beyond its limit in the model."""
+        outside = (pose < self._low - BEYOND) | (pose > self._high + BEYOND)
+        return bool((outside & self._limited).any())
 
     def refined(self, seen: Tracked, qpos: Array, near: Array) -> Poses:
         """Return the pose of each row near another one, [R, J]; see `followed`."""
