@@ -98,23 +98,6 @@ class Links:
                 model.body_sameframe[i] = model.body_simple[i] = 0
         model.dof_simplenum[:] = 0
 
-    def load(self, model: Any, body: int, mass_kg: float, place: Array) -> None:
-        """Add a point mass to a body of a model, at a place in the body's frame, [3]."""
-        axes, own, centre = np.zeros(9), float(model.body_mass[body]), model.body_ipos[body].copy()
-        self._mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-        frame = axes.reshape(3, 3)
-        inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
-        common = (own * centre + mass_kg * place) / (own + mass_kg)
-        for mass, arm in ((own, centre - common), (mass_kg, place - common)):
-            inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        principal, frame = np.linalg.eigh(inertia)
-        frame[:, 0] *= np.sign(np.linalg.det(frame))
-        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + mass_kg, common, principal
-        self._mujoco.mju_mat2Quat(model.body_iquat[body], frame.ravel())
-        # The body's inertia is no longer aligned with its frame.
-        model.body_sameframe[body] = model.body_simple[body] = 0
-        model.dof_simplenum[:] = 0
-
     def _palm(self, tip: int, moved: list[int]) -> int | None:
         """Return the moved link that carries the last link as one of several fingers, if any."""
         finger = tip

@@ -3,7 +3,7 @@
 import copy
 import re
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ from softarm.diagnosis.rigs.laws import joint as law
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 from softarm.diagnosis.rigs.mjcf.links import Link, Links
+from softarm.diagnosis.rigs.mjcf.loads import Bodies
 from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
@@ -62,16 +63,12 @@ class Joint:
         return self.dry + self.followers_dry
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Change of the rigid bodies behind a joint, or of the whole mechanism's base."""
+class Changes(NamedTuple):
+    """Changes of a joint's rigid-body terms [law.ROWS, T] along a measured motion; they add up."""
 
-    mass_share: float = 0.0  # of all masses and inertias behind the joint
-    payload_kg: float = 0.0  # point mass on the joint's last link
-    payload_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # its place along the axes of that link
-    length_share: float = 0.0  # of the link between the joint and the next one, with its mass as it is
-    bodies: tuple[str, ...] = ()  # mass_share is that of these bodies alone
-    tilts_rad: Mapping[str, float] = field(default_factory=dict)  # small rotations of the base about `level_axes`
+    parts: Mapping[str, Array]  # per share of the mass of each part, by its first body
+    point: Array  # [10, law.ROWS, T] per kg of a payload, for each of `powers` of its place in the last link's frame
+    tilted: Mapping[str, Array]  # per rad of a small rotation of the base, by the axes of `level_axes`
 
 
 class Course(NamedTuple):
@@ -82,6 +79,21 @@ class Course(NamedTuple):
     faster: State  # by NUDGE_SPEED
     above: State  # by NUDGE
     below: State
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Return the motion in five states, the second with an acceleration of the joint of 1."""
+        accelerated = self.centre._replace(acceleration=self.centre.acceleration + self.centre.along)
+        return self.centre, accelerated, self.faster, self.above, self.below
+
+    def rows(self, forces: Array) -> Array:
+        """Return rigid-body terms [law.ROWS, T] from the projected forces in the five states, [5, T]."""
+        (position, speed), (load, more, moving, over, under) = self.own, forces
+        by_position, by_speed = (over - under) / (2 * NUDGE), (moving - load) / NUDGE_SPEED
+        found = np.empty((law.ROWS, len(position)))
+        found[law.INERTIA], found[law.BY_POSITION], found[law.BY_SPEED] = more - load, by_position, by_speed
+        found[law.LOAD] = load - by_position * position - by_speed * speed
+        return found
 
 
 class Inertial(NamedTuple):
@@ -206,24 +218,21 @@ class Mechanism:
         """Return the links along a motion as lines, [T, L, 2, 3], m; see `course` and `Links.lines`."""
         return self._links.lines(self.course(joint, motion).centre.position)
 
-    def terms(self, joint: Joint, course: Course, change: Change = Change()) -> Array:
+    def terms(self, joint: Joint, course: Course, longer: float = 0.0) -> Array:
         """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
 
         Args:
             joint: the joint.
             course: result of `course` for the joint.
-            change: change of the bodies behind the joint.
+            longer: share by which the link from the joint to the next one is longer, with the same mass.
         """
-        mujoco, model = self._mujoco, self._changed(joint, change)
-        data, stage = mujoco.MjData(model), mujoco.mjtStage
-        (position, speed), centre, faster, above, below = course
-        accelerated = centre._replace(acceleration=centre.acceleration + centre.along)
-        states = centre, accelerated, faster, above, below
+        mujoco, model = self._mujoco, self._changed(joint, longer)
+        data, stage, states = mujoco.MjData(model), mujoco.mjtStage, course.states
         new, same_speed, same_position = map(int, (stage.mjSTAGE_NONE, stage.mjSTAGE_VEL, stage.mjSTAGE_POS))
         known = new, same_speed, same_position, new, new  # stages whose results the evaluation before has left
 
         forces, inverse = data.qfrc_inverse, mujoco.mj_inverseSkip
-        needed = np.empty((len(position), len(states), model.nv))
+        needed = np.empty((len(course.centre.position), len(states), model.nv))
         steps = [*zip(range(len(states)), known, self._writes(data, states), strict=True)]
         for k, rows in enumerate(needed):
             for i, stages, writes in steps:
@@ -232,12 +241,16 @@ class Mechanism:
                 inverse(model, data, stages, 1)
                 rows[i] = forces
         along = np.stack([each.along for each in states], axis=1)
-        load, more, moving, over, under = np.einsum("tsv,tsv->st", needed, along)
-        by_position, by_speed = (over - under) / (2 * NUDGE), (moving - load) / NUDGE_SPEED
-        found = np.empty((law.ROWS, len(position)))
-        found[law.INERTIA], found[law.BY_POSITION], found[law.BY_SPEED] = more - load, by_position, by_speed
-        found[law.LOAD] = load - by_position * position - by_speed * speed
-        return found
+        return course.rows(np.einsum("tsv,tsv->st", needed, along))
+
+    def changes(self, joint: Joint, course: Course) -> Changes:
+        """Return how the rigid-body terms of a joint change with the bodies that it moves and with the base."""
+        bodies = Bodies(self._mujoco, self._bodies, self._moved(joint.dof), self.last_link(joint).number)
+        forces = bodies.forces(course.states)
+        own = dict(zip(joint.bodies, forces.own, strict=True))
+        parts = {first: course.rows(sum(own[name] for name in names)) for first, names in joint.parts.items()}
+        tilted = {axis: course.rows(np.tensordot(way, forces.gravity, 1)) for axis, way in self.level_axes.items()}
+        return Changes(parts, np.array([course.rows(each) for each in forces.point]), tilted)
 
     @staticmethod
     def _writes(data: Any, states: Sequence[State]) -> list[list[tuple[Array, Array]]]:
@@ -327,22 +340,14 @@ class Mechanism:
                 found.append(int(tendon))
         return found
 
-    def _changed(self, joint: Joint, change: Change) -> Any:
-        """Return the rigid bodies with a change, without the joint's own spring, damper and friction."""
+    def _changed(self, joint: Joint, longer: float) -> Any:
+        """Return the rigid bodies without the joint's own spring, damper and friction; see `terms`."""
         model = copy.copy(self._bodies)
         number = self.model.dof_jntid[joint.dof]
         model.dof_damping[joint.dof], model.dof_armature[joint.dof] = 0.0, joint.armature
         model.jnt_stiffness[number] = 0.0
-        bodies = [*map(self._body, change.bodies)] or self._moved(joint.dof)
-        model.body_mass[bodies] *= 1 + change.mass_share
-        model.body_inertia[bodies] *= 1 + change.mass_share
-        if change.length_share:
-            self._links.stretch(model, int(self.model.dof_bodyid[joint.dof]), 1 + change.length_share)
-        if change.payload_kg:
-            link = self.last_link(joint)
-            self._links.load(model, link.number, change.payload_kg, link.place(change.payload_m))
-        for axis, angle in change.tilts_rad.items():
-            model.opt.gravity[:] += angle * self.level_axes[axis]
+        if longer:
+            self._links.stretch(model, int(self.model.dof_bodyid[joint.dof]), 1 + longer)
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         return model
 

@@ -10,7 +10,7 @@ from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, Course, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Changes, Course, Joint, Mechanism
 from softarm.diagnosis.rigs.mjcf.noise import correlations, drawn
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
 
@@ -34,9 +34,15 @@ class OtherJoints:
         self.courses = self._courses(own, self.around)
         self.disturbed = cache(self._disturbed)
 
-    def terms(self, change: Change) -> Array:
-        """Return the rigid-body terms of all trials one after the other with changed bodies, [ROWS, M]."""
-        return self._terms(self.courses, change)
+    def terms(self, longer: float = 0.0) -> Array:
+        """Return the rigid-body terms of all trials one after the other, [ROWS, M]; longer: see `Mechanism.terms`."""
+        return self._terms(self.courses, longer)
+
+    def changes(self) -> Changes:
+        """Return the changes of the rigid-body terms of all trials one after the other."""
+        found = [self._mechanism.changes(self._joint, course) for course in self.courses]
+        parts, points, tilted = zip(*found, strict=True)
+        return Changes(_joined(parts), np.concatenate(points, axis=-1), _joined(tilted))
 
     def terms_along(self, own: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along another motion of the joint, [ROWS, T]."""
@@ -46,7 +52,7 @@ class OtherJoints:
         """Return the rigid-body terms of all trials with the speeds of some time before, [ROWS, M]."""
         own = [replace(m, speed=m.speed - late_s * m.acceleration) for m in self._own]
         around = [{name: (x, v - late_s * a, a) for name, (x, v, a) in each.items()} for each in self.around]
-        found = self._terms(self._courses(own, around), Change())
+        found = self._terms(self._courses(own, around))
         found[laws.INERTIA] -= late_s * found[laws.BY_SPEED]  # the joint's own simulated speed
         return found
 
@@ -72,7 +78,7 @@ class OtherJoints:
             around = [_noisy(each, m.grid.step_s, noise) for each, m, (noise, _) in parts]
         if smooth:
             around = [_smooth(each) for each in around]
-        return self._terms(self._courses(self._own, around), Change())
+        return self._terms(self._courses(self._own, around))
 
     @cached_property
     def shared_noise(self) -> Array:
@@ -91,8 +97,8 @@ class OtherJoints:
         shared = {columns: correlations(trials) for columns, trials in alike.items()}
         return [drawn(x, shared[tuple(around)], random) for x, around in zip(readings, self.around, strict=True)]
 
-    def _terms(self, courses: Sequence[Course], change: Change) -> Array:
-        return np.concatenate([self._mechanism.terms(self._joint, course, change) for course in courses], axis=1)
+    def _terms(self, courses: Sequence[Course], longer: float = 0.0) -> Array:
+        return np.concatenate([self._mechanism.terms(self._joint, course, longer) for course in courses], axis=1)
 
     def _courses(self, own: Sequence[Motion], around: Sequence[Around]) -> list[Course]:
         found = []
@@ -134,3 +140,8 @@ def _noisy(around: Around, step_s: float, noise: Array) -> Around:
         curve[1:-1] = np.diff(own, 2) / step_s**2
         found[name] = position + own, speed + np.gradient(own, step_s), acceleration + curve
     return found
+
+
+def _joined(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Return the arrays of all trials one after the other, by name."""
+    return {name: np.concatenate([each[name] for each in parts], axis=-1) for name in parts[0]}

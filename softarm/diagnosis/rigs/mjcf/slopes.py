@@ -1,19 +1,19 @@
 """Changes of a joint's rigid-body terms with its bodies and the base: masses, payload, length of the link, tilt."""
 
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, Joint, Mechanism
+from softarm.diagnosis.rigs.mjcf.loads import powers
+from softarm.diagnosis.rigs.mjcf.mechanism import Changes, Joint, Mechanism
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 
-# Changes at which the terms are computed.
-MASS_STEP, PAYLOAD_STEP_KG, TILT_STEP_RAD = 0.1, 0.05, 0.05
+# Changes of a length at which the terms are computed.
 LENGTH_SHARES = (-0.1, 0.1)
-# Places of a payload from which all others follow.
-LATTICE = [(i, j, k) for i in range(3) for j in range(3 - i) for k in range(3 - i - j)]
+# Places of a payload whose change is kept.
+KEPT = 8
 # Place of a payload along the axes of the last link.
 Place = tuple[float, float, float]
 
@@ -33,32 +33,43 @@ class BodyChange(NamedTuple):
 class Slopes:
     """Rigid-body terms along a measured motion, [ROWS, M], and their changes, each computed at its first use.
 
-    Masses and tilts enter linearly, the place of a payload and lengths as polynomials of second degree.
+    Masses and tilts enter linearly, lengths as a polynomial of second degree.
 
     Attributes:
         base: terms of the model.
         reach_m: usual distance of a payload from the last joint; 0 on a balanced link.
         axes: axes about which a tilt of the base turns gravity.
-        loaded: returns the change per kg of a payload at a place in reaches.
+        loaded: returns the change per kg of a payload at a place.
         longer: returns the change at one of LENGTH_SHARES of the joint's link.
-        tilted: returns the change per rad of a tilt about one of the axes.
-        part: returns the change per share of the mass of one of the joint's parts, by its first body.
         late: returns the change with forces of earlier speeds.
     """
 
     def __init__(self, mechanism: Mechanism, joint: Joint, others: OtherJoints) -> None:
         """Compute the terms of the model; others: motion of the other joints."""
-        self.reach_m = mechanism.last_link(joint).reach_m
-        self._others, self.base = others, others.terms(Change())
+        self._link = mechanism.last_link(joint)
+        self.reach_m = self._link.reach_m
+        self._others, self.base = others, others.terms()
         self.axes = tuple(mechanism.level_axes)
-        self.loaded, self.longer, self.tilted = cache(self._loaded), cache(self._longer), cache(self._tilted)
-        self.part = cache(lambda part: self._change(Change(mass_share=MASS_STEP, bodies=joint.parts[part])) / MASS_STEP)
+        self.loaded = lru_cache(KEPT)(self._loaded)
+        self.longer = cache(lambda share: others.terms(share) - self.base)
         self.late = cache(lambda late_s: others.terms_late(late_s) - self.base)
+
+    def part(self, part: str) -> Array:
+        """Return the change per share of the mass of one of the joint's parts, by its first body, [ROWS, M]."""
+        return self._changes.parts[part]
+
+    def tilted(self, axis: str) -> Array:
+        """Return the change per rad of a tilt about one of the axes, [ROWS, M]."""
+        return self._changes.tilted[axis]
 
     @cached_property
     def heavier(self) -> Array:
         """Change per share of all masses behind the joint, [ROWS, M]."""
-        return self._change(Change(mass_share=MASS_STEP)) / MASS_STEP
+        return np.asarray(sum(self._changes.parts.values()))
+
+    @cached_property
+    def _changes(self) -> Changes:
+        return self._others.changes()
 
     def at(self, change: BodyChange, start: Array | None = None) -> Array:
         """Return the terms with changed bodies, [ROWS, M]; start: terms to start from, instead of the base."""
@@ -66,7 +77,7 @@ class Slopes:
         if change.mass_share:
             found += change.mass_share * self.heavier
         if change.payload_kg:
-            found += change.payload_kg * self._carried(change.payload_m)
+            found += change.payload_kg * self.loaded(change.payload_m)
         if change.length_share:
             found += self._stretched(change.length_share)
         for axis, angle in change.tilts_rad:
@@ -77,37 +88,11 @@ class Slopes:
             found += self.late(change.late_s)
         return found
 
-    def _carried(self, at_m: Place) -> Array:
-        """Return the change per kg of a payload, from the places of a lattice of second degree, [ROWS, M]."""
-        if not self.reach_m:
-            return self.loaded((0, 0, 0))
-        x, y, z = (each / self.reach_m for each in at_m)
-        weights = {
-            (i, j, k): _basis(x, i) * _basis(y, j) * _basis(z, k) * _basis(2 - x - y - z, 2 - i - j - k)
-            for i, j, k in LATTICE
-        }
-        return np.asarray(sum(weight * self.loaded(place) for place, weight in weights.items() if weight))
+    def _loaded(self, at_m: Place) -> Array:
+        return np.tensordot(powers(self._link.place(at_m)), self._changes.point, 1)
 
     def _stretched(self, share: float) -> Array:
         """Return the change by a longer link, from those of LENGTH_SHARES, [ROWS, M]."""
         low, high = LENGTH_SHARES
         lower, higher = (share * (share - b) / (a * (a - b)) for a, b in ((low, high), (high, low)))
         return np.asarray(lower * self.longer(low) + higher * self.longer(high))
-
-    def _loaded(self, place: tuple[int, int, int]) -> Array:
-        x, y, z = (self.reach_m * each for each in place)
-        return self._change(Change(payload_kg=PAYLOAD_STEP_KG, payload_m=(x, y, z))) / PAYLOAD_STEP_KG
-
-    def _longer(self, share: float) -> Array:
-        return self._change(Change(length_share=share))
-
-    def _tilted(self, axis: str) -> Array:
-        return self._change(Change(tilts_rad={axis: TILT_STEP_RAD})) / TILT_STEP_RAD
-
-    def _change(self, change: Change) -> Array:
-        return self._others.terms(change) - self.base
-
-
-def _basis(x: float, degree: int) -> float:
-    """Return the factor of a lattice's Lagrange polynomial: 1 at x = degree, 0 at the integers below, to degree 2."""
-    return (1.0, x, x * (x - 1) / 2)[degree]

@@ -348,7 +348,7 @@ class JointView(RigView):
         torques, slopes = self._torques, self._slopes
         needed, loads = torques.total(slopes.base), np.abs(torques.load(slopes.base))
         longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if self._mechanism.carries(joint) else np.zeros(1)
-        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded((2, 0, 0)))
+        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded((2 * slopes.reach_m, 0.0, 0.0)))
         felt = FELT * rms(needed)
         inertia = float(np.mean(slopes.base[laws.INERTIA]))
         floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least

@@ -9,15 +9,21 @@ import pytest
 
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.mechanism import Change, Mechanism
+from softarm.diagnosis.rigs.mjcf.loads import powers
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.reality.mechanisms.record import ROBOTS
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
 
 
-def terms_of(mechanism, name, motion, change=None):
+def terms_of(mechanism, name, motion, longer=0.0):
     joint = mechanism.joint(name)
-    return mechanism.terms(joint, mechanism.course(joint, motion), change or Change())
+    return mechanism.terms(joint, mechanism.course(joint, motion), longer)
+
+
+def changes_of(mechanism, name, motion):
+    joint = mechanism.joint(name)
+    return mechanism.changes(joint, mechanism.course(joint, motion))
 
 
 @pytest.fixture(scope="module")
@@ -60,29 +66,36 @@ def test_the_slope_by_position_is_the_load_of_another_angle(arm, motion):
     assert load(terms, position + 0.02) == pytest.approx(load(moved, position + 0.02), abs=2e-3)
 
 
-def test_masses_behind_a_joint_and_a_payload_change_its_terms_linearly(arm, motion):
-    joint = arm.joint("elbow")
-    base = terms_of(arm, "elbow", motion)
-    half, whole = (terms_of(arm, "elbow", motion, Change(payload_kg=kg)) - base for kg in (0.1, 0.2))
-    assert whole == pytest.approx(2 * half, rel=1e-6, abs=1e-9)
-    assert half[laws.INERTIA].min() > 0
-    heavier = terms_of(arm, "elbow", motion, Change(mass_share=0.1))
-    own, more = (terms[laws.INERTIA] - joint.armature for terms in (base, heavier))
-    assert more == pytest.approx(1.1 * own, rel=1e-6)
+@pytest.mark.parametrize(
+    ("robot", "body", "joint"),
+    [("arm", "tool", "shoulder"), ("linkage", "coupler", "crank"), ("drone", "lower", "shoulder")],
+    ids=["chain", "closed loop", "floating base"],
+)
+def test_a_heavier_body_changes_the_terms_as_in_mujoco(robot, body, joint, tmp_path):
+    nominal, random = Mechanism(ROBOTS[robot].model), np.random.default_rng(0)
+    names = [*nominal.joints, *(column for pose in nominal.poses for column in pose.columns)]
+    motion = {name: tuple(random.normal(size=(3, 5)) * [[0.3], [1.0], [3.0]]) for name in names}
+    spec, own = mujoco.MjSpec.from_file(str(nominal.path)), nominal.inertial(body)
+    changed = spec.body(body)
+    changed.explicitinertial, changed.mass, changed.inertia = True, 1.1 * own.mass_kg, 1.1 * own.inertia
+    changed.ipos, changed.iquat = own.at, own.quat
+    spec.compile()
+    (tmp_path / "heavier.xml").write_text(spec.to_xml())
+    expected = terms_of(Mechanism(tmp_path / "heavier.xml"), joint, motion) - terms_of(nominal, joint, motion)
+    assert 0.1 * changes_of(nominal, joint, motion).parts[body] == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 def test_a_payload_at_a_distance_is_a_point_mass_in_mujoco(arm, motion, tmp_path):
-    joint = arm.joint("elbow")
-    link, change = arm.last_link(joint), Change(payload_kg=0.15, payload_m=(0.11, 0.02, -0.03))
-    x, y, z = link.place(change.payload_m)
+    link = arm.last_link(arm.joint("elbow"))
+    place = link.place((0.11, 0.02, -0.03))
+    x, y, z = place
     mass = f'<body pos="{x} {y} {z}"><inertial pos="0 0 0" mass="0.15" diaginertia="1e-12 1e-12 1e-12"/></body>'
     text = arm.path.read_text()
     (tag,) = re.findall(rf'<body name="{link.body}"[^>]*>', text)
     (tmp_path / "loaded.xml").write_text(text.replace(tag, tag + mass))
-    loaded = Mechanism(tmp_path / "loaded.xml")
-    assert terms_of(arm, "elbow", motion, change) == pytest.approx(
-        terms_of(loaded, "elbow", motion), rel=1e-6, abs=1e-8
-    )
+    found = 0.15 * np.tensordot(powers(place), changes_of(arm, "elbow", motion).point, 1)
+    expected = terms_of(Mechanism(tmp_path / "loaded.xml"), "elbow", motion) - terms_of(arm, "elbow", motion)
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
 
 def test_a_longer_link_carries_its_masses_and_the_next_joint_farther_out(tmp_path):
@@ -92,8 +105,8 @@ def test_a_longer_link_carries_its_masses_and_the_next_joint_farther_out(tmp_pat
     t = np.linspace(0, 1, 20)
     motion = {name: (np.sin(t + k), np.cos(3 * t), np.sin(5 * t)) for k, name in enumerate(("shoulder", "elbow"))}
     base, stretched, expected = (
-        terms_of(mechanism, "shoulder", motion, change)
-        for mechanism, change in ((nominal, Change()), (nominal, Change(length_share=0.1)), (longer, Change()))
+        terms_of(mechanism, "shoulder", motion, share)
+        for mechanism, share in ((nominal, 0.0), (nominal, 0.1), (longer, 0.0))
     )
     # MuJoCo gives a capsule's own inertia by its shape, a small part of the change.
     assert np.abs(stretched - expected).max() < 0.05 * np.abs(expected - base).max()
@@ -105,14 +118,13 @@ def test_a_tilted_base_turns_gravity_as_a_rotated_body_does(arm, motion, tmp_pat
     turret = '<body name="turret" pos="0 0 0.1"'
     assert turret in text
     (tmp_path / "tilted.xml").write_text(text.replace(turret, f'{turret} euler="0.03 -0.02 0"'))
-    tilted, change = Mechanism(tmp_path / "tilted.xml"), Change(tilts_rad={"x": 0.03, "y": -0.02})
+    tilted = Mechanism(tmp_path / "tilted.xml")
     for name in ("base", "shoulder", "wrist"):
-        base, found, expected = (
-            terms_of(mechanism, name, motion, each)
-            for mechanism, each in ((arm, Change()), (arm, change), (tilted, Change()))
-        )
+        change = changes_of(arm, name, motion).tilted
+        found = 0.03 * change["x"] - 0.02 * change["y"]
+        expected = terms_of(tilted, name, motion) - terms_of(arm, name, motion)
         # The linear change lacks the squares of the angles.
-        assert np.abs(found - expected).max() < 0.05 * np.abs(expected - base).max()
+        assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
 
 
 def test_the_base_tilts_about_the_axes_that_gravity_does_not_point_along(tmp_path):
