@@ -135,6 +135,8 @@ def _late_s(skeleton: Skeleton, mocap: Series, known: Sequence[Series], found: P
         return 0.0
     rows = np.unique(np.linspace(0, len(mocap) - 1, LATE_ROWS).astype(int))
     seen, near = skeleton.tracked(mocap.kept(np.isin(np.arange(len(mocap)), rows)), where), found.positions[rows]
+    if skeleton.coordinates(seen) <= len(skeleton.joints):
+        return 0.0
 
     def squared(late_s: float) -> float:
         qpos = skeleton.around(mocap.t_s[rows] - late_s, known, where)

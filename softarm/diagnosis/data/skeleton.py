@@ -109,6 +109,11 @@ class Skeleton:
         turned = np.stack(turns, axis=1)
         return Tracked(np.array(places).transpose(2, 0, 1), turned / np.linalg.norm(turned, axis=2, keepdims=True))
 
+    def coordinates(self, seen: Tracked) -> int:
+        """Return how many coordinates of moved points are tracked in a row, at most; an orientation has three."""
+        places = int(np.isfinite(seen.places[:, self._moved]).sum(axis=(1, 2)).max())
+        return places + 3 * sum(self.points[k].turns for k in self._moved)
+
     def at_zero(self, point: Point) -> tuple[Array, Array]:
         """Return the position [3], m, and the axes, columns of [3, 3], of a point in the model's zero."""
         self._put(self._model.qpos0, self._model.qpos0[self._at])

@@ -121,16 +121,17 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
     assert found["elbow"] == pytest.approx(true[np.isin(T, found.t_s), 3], abs=1e-6)
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.1, 0.2, 0.3])
-def test_a_joint_that_was_stretched_bends_in_its_range_again(model, shift):
-    file, t_s = model("-0.1 2.4"), 0.03 * np.arange(60)
+@pytest.mark.parametrize(("step_s", "shift"), [(0.03, 0.0), (0.03, 0.2), (0.02, 0.0), (0.02, 0.1)])
+def test_a_joint_that_was_stretched_bends_in_its_range_again(model, step_s, shift):
+    """As many coordinates as unknown joints show no delay, though a tip out of reach seems to."""
+    file, t_s = model("-0.1 2.4"), step_s * np.arange(60)
     true = np.stack(
         [0.2 * np.sin(2 * t_s), 0.7 * np.sin(3 * t_s), 0.5 * np.sin(4 * t_s), 1 + np.sin(5 * t_s + shift)], 1
     )
     columns = tracked(file, true, ("tip",))
     known = [Series(t_s, {"rail": true[:, 0]})]
     found, warnings = mocap.positions(Skeleton(file, columns, ["rail"]), Series(t_s, columns), known, Path("run.csv"))
-    assert len(found) > 25
+    assert len(found) > 20
     assert found["elbow"] == pytest.approx(true[np.isin(t_s, found.t_s), 3], abs=1e-6)
     assert not warnings
 
