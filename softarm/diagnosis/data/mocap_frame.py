@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softarm.diagnosis.data.skeleton import LEVER_M, MISFIT, Skeleton, Tracked
 from softarm.diagnosis.data.stage_rules import QUATERNION
@@ -33,8 +34,9 @@ def in_model_frame(skeleton: Skeleton, mocap: Series, where: Path) -> Series:
     known = np.concatenate([np.empty((0, 3)), *(_known(skeleton, k) for k in fixed)])
     if not _shows_a_frame(known):
         return mocap
-    turn, shift = _frame(seen, known)
-    error_m, most_m = float(np.sqrt(np.mean((seen @ turn.T + shift - known) ** 2))), MISFIT * skeleton.reach_m
+    turn, _ = Rotation.align_vectors(known - known.mean(axis=0), seen - seen.mean(axis=0))
+    shift = known.mean(axis=0) - turn.apply(seen.mean(axis=0))
+    error_m, most_m = float(np.sqrt(np.mean((turn.apply(seen) + shift - known) ** 2))), MISFIT * skeleton.reach_m
     if error_m > most_m:
         raise TrialError(
             f"{where}: the fixed points {', '.join(points[k].name for k in fixed)} differ by {error_m:.2g} m from the "
@@ -48,11 +50,12 @@ def in_model_frame(skeleton: Skeleton, mocap: Series, where: Path) -> Series:
         )
     columns = dict(mocap.columns)
     for k, point in enumerate(points):
-        places = tracked.places[:, k] @ turn.T + shift
+        places = turn.apply(tracked.places[:, k]) + shift
         columns |= {f"{point.name}_{axis}": values for axis, values in zip("xyz", places.T, strict=True)}
         if point.turns:
-            turned = skeleton.turned(turn, tracked.turns[:, k])
-            columns |= {point.name + part: values for part, values in zip(QUATERNION, turned.T, strict=True)}
+            turned = turn * Rotation.from_quat(tracked.turns[:, k], scalar_first=True)
+            quaternions = turned.as_quat(scalar_first=True).T
+            columns |= {point.name + part: values for part, values in zip(QUATERNION, quaternions, strict=True)}
     return Series(mocap.t_s, columns)
 
 
@@ -61,15 +64,8 @@ def _seen(tracked: Tracked, k: int, turns: bool) -> Array:
     place = np.nanmedian(tracked.places[:, k], axis=0)
     if not turns:
         return place[None]
-    w, x, y, z = tracked.turns[:, k].T
-    axes = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return np.concatenate((place[None], place + LEVER_M * np.median(axes, axis=2)))
+    axes = Rotation.from_quat(tracked.turns[:, k], scalar_first=True).as_matrix()
+    return np.concatenate((place[None], place + LEVER_M * np.median(axes, axis=0).T))
 
 
 def _known(skeleton: Skeleton, k: int) -> Array:
@@ -84,10 +80,3 @@ def _shows_a_frame(known: Array) -> bool:
         return False
     extent = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
     return bool(extent[1] > BROAD * extent[0])
-
-
-def _frame(seen: Array, known: Array) -> tuple[Array, Array]:
-    """Return the rotation [3, 3] and the shift [3] that turn points [F, 3] best into others (Kabsch 1976)."""
-    u, _, v = np.linalg.svd((known - known.mean(axis=0)).T @ (seen - seen.mean(axis=0)))
-    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    return turn, known.mean(axis=0) - turn @ seen.mean(axis=0)

@@ -120,14 +120,6 @@ class Skeleton:
         place, axes = self._frame(point)
         return place.copy(), axes.reshape(3, 3).copy()
 
-    def turned(self, turn: Array, quaternions: Array) -> Array:
-        """Return quaternions [T, 4] after a rotation [3, 3]."""
-        first, found = np.empty(4), np.empty_like(quaternions)
-        self._mujoco.mju_mat2Quat(first, turn.ravel())
-        for row, quaternion in zip(found, quaternions, strict=True):
-            self._mujoco.mju_mulQuat(row, first, quaternion)
-        return found
-
     def around(self, t_s: Array, known: Iterable[Series], where: Path) -> Array:
         """Return the positions of the model's other joints at some times, qpos [T, nq].
 
