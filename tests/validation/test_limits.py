@@ -20,6 +20,6 @@ def test_a_late_and_weak_rail_with_a_payload_is_measured_patched_and_held():
     assert patched.braking_m_s2 < 3.0 < patched.surge_m_s2
     accelerations = np.diff(played.motion.velocity_m_s) / np.diff(played.motion.t_s)
     assert np.mean(np.abs(accelerations) > patched.surge_m_s2) < 0.01
-    attacked = fly(robot, found.patched, Attack(2), 5.0, None)
+    attacked = fly(robot, found.patched, Attack(2), 10.0, None)
     assert attacked.farthest_m < 0.255
     assert attacked.stops == 0
