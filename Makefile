@@ -6,7 +6,7 @@ SHELL := /bin/sh
 # Tests start many Python processes; each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test quick lint types imports unit unit-quick coverage docs prove release clean
+.PHONY: install demo test quick lint types imports unit unit-together unit-alone unit-quick coverage docs prove release clean
 
 install: .venv/.installed
 
@@ -34,29 +34,37 @@ demo: install
 
 # Everything that a landing must pass.
 test: .venv/.compiled
-	$(MAKE) --no-print-directory --jobs 2 lint types imports
-	$(MAKE) --no-print-directory unit
+	$(MAKE) --no-print-directory lint imports
+	$(MAKE) --no-print-directory --jobs 2 types unit-together
+	$(MAKE) --no-print-directory unit-alone
 
 # The same without slow tests and tests that need the machine alone.
 quick: .venv/.compiled
-	$(MAKE) --no-print-directory --jobs 2 lint types imports
-	$(MAKE) --no-print-directory unit-quick
+	$(MAKE) --no-print-directory lint imports
+	$(MAKE) --no-print-directory --jobs 2 types unit-quick
 
 lint:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m tools.prose
 
+# Beside the tests, which leave a part of two cores idle; the first run takes a minute of one.
 types:
-	$(BIN)/mypy
+	nice $(BIN)/mypy
 
 imports:
 	$(BIN)/lint-imports
 
-# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once. Three
-# processes: tests wait for daemons and browsers, and with four those miss frames.
 unit:
+	$(MAKE) --no-print-directory unit-together
+	$(MAKE) --no-print-directory unit-alone
+
+# A module's fixtures are made once. Three processes: tests wait for daemons and browsers, and with four those miss frames.
+unit-together:
 	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not prove' $(COVER)
+
+# Tests that assert deadlines, since two busy cores keep none.
+unit-alone:
 	$(BIN)/pytest -m 'realtime and not prove' $$(grep -rl --include='test_*.py' 'mark.realtime' tests) \
 	    $(if $(COVER),$(COVER) --cov-append)
 
