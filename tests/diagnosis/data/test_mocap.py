@@ -123,7 +123,7 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
 
 @pytest.mark.parametrize(("step_s", "shift"), [(0.03, 0.0), (0.03, 0.2), (0.02, 0.0), (0.02, 0.1)])
 def test_a_joint_that_was_stretched_bends_in_its_range_again(model, step_s, shift):
-    """As many coordinates as unknown joints show no delay, though a tip out of reach seems to."""
+    """Points without a coordinate to spare show no delay, though a tip out of reach seems to."""
     file, t_s = model("-0.1 2.4"), step_s * np.arange(60)
     true = np.stack(
         [0.2 * np.sin(2 * t_s), 0.7 * np.sin(3 * t_s), 0.5 * np.sin(4 * t_s), 1 + np.sin(5 * t_s + shift)], 1
