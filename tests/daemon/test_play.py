@@ -53,6 +53,7 @@ class NoFrames(WithoutWire):
         self.stopped = True
 
 
+@pytest.mark.realtime
 def test_a_robot_that_cannot_be_armed_is_left_safe(config, monkeypatch):
     monkeypatch.setattr("softarm.daemon.play._ARMING_S", 0.5)
     cameras = NoFrames()
