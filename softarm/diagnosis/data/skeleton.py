@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data import checks, mjcf
@@ -186,8 +187,11 @@ class Skeleton:
 
     def _is_beyond(self, pose: Array) -> bool:
         """Return whether a joint is beyond its limit in the model."""
-        outside = (pose < self._low - BEYOND) | (pose > self._high + BEYOND)
-        return bool((outside & self._limited).any())
+        return bool((self._outside(pose) & self._limited).any())
+
+    def _outside(self, positions: Array) -> NDArray[np.bool_]:
+        """Return which joints are outside the range in which they are sought, [..., J]."""
+        return ~((positions > self._low - BEYOND) & (positions < self._high + BEYOND))
 
     def refined(self, seen: Tracked, qpos: Array, near: Array) -> Poses:
         """Return the pose of each row near another one, [R, J]; see `followed`."""
@@ -205,7 +209,7 @@ class Skeleton:
         turns = np.round((found.positions - (self._low + self._high) / 2) / (2 * np.pi))
         positions = found.positions - np.where(self._turns, 2 * np.pi * turns, 0.0)
         alike = found.errors_m < ALIKE * found.errors_m[0] + ALIKE_M
-        within = np.all((positions > self._low - BEYOND) & (positions < self._high + BEYOND), axis=1)
+        within = ~self._outside(positions).any(axis=1)
         chosen = alike & within if np.any(alike & within) else alike
         return Poses(positions[chosen], found.errors_m[chosen], found.shown[chosen])
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softarm.diagnosis.data.mjcf import carriers
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.mjcf.closure import State
 
@@ -42,8 +43,7 @@ class Bodies:
         """Find the degrees of freedom that move each body; last: body that carries a payload."""
         self._mujoco, self._model, self._bodies = mujoco, model, list(bodies)
         self._last = self._bodies.index(last)
-        carriers = [self._carriers(body) for body in bodies]
-        self._moves = np.array([[int(body) in each for body in model.dof_bodyid] for each in carriers], dtype=float)
+        self._moves = np.array([np.isin(model.dof_jntid, [*carriers(model, body)]) for body in bodies], dtype=float)
         weightless = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY))
         self._felt = (1.0 - model.body_gravcomp[self._bodies]) * (not weightless)  # share of gravity
         self._moments = np.array([self._moments_of(body) for body in bodies])
@@ -115,14 +115,6 @@ class Bodies:
                 seen.rates[k] = cdof_dot
         roots = model.body_rootid
         return [each._replace(centre=each.centre[:, roots], frame=each.frame.reshape(size, -1, 3, 3)) for each in found]
-
-    def _carriers(self, body: int) -> set[int]:
-        """Return the bodies from one to the base."""
-        found = {body}
-        while body:
-            body = int(self._model.body_parentid[body])
-            found.add(body)
-        return found
 
     def _moments_of(self, body: int) -> Array:
         """Return the integral of `powers` over the mass of a body, [10], kg to kg m^2."""
