@@ -1,18 +1,15 @@
 """Tests of Ctrl-C: its message and exit code 130."""
 
-import os
-import re
 import signal
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from softarm.cli.operate import run
 from softarm.daemon.control.records import Mode
 from softarm.daemon.logbook import logs
-from tests.cli.invoke import invoke
-from tests.processes import until
+from tests.processes import WAIT_S, running, said
 
 
 def interrupt(*_):
@@ -64,33 +61,22 @@ def test_ctrl_c_during_work_reports_what_is_kept(softarm, monkeypatch, line, pat
     assert result.stderr.startswith(f"\ninterrupted: {left}")
 
 
-@pytest.fixture
-def handlers():
-    """Restore the handlers of signals, which the daemon replaces."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize(
-    ("end", "code", "word"),
-    [(signal.SIGINT, 130, "interrupted"), pytest.param(signal.SIGTERM, 0, "ended", marks=pytest.mark.prove)],
+    ("number", "code", "word"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        pytest.param(signal.SIGTERM, 0, "ended", marks=pytest.mark.prove),
+    ],
 )
-def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path, monkeypatch, end, code, word):
-    def announce(daemon, to_open):
-        announced(daemon, to_open)
-        until(lambda: daemon.loop.snapshot)
-        os.kill(os.getpid(), end)
-
-    announced = run.announce
-    monkeypatch.setattr(run, "announce", announce)
+def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path: Path, number: signal.Signals, code: int, word: str):
     config = tmp_path / "arm.yaml"
     config.write_text(f"api: {{port: 0}}\ncontrol: {{policy: hold}}\nrecorder: {{directory: {tmp_path}}}\n")
-    result = invoke("run", "--simulated", "--config", config)
-    assert result.exit_code == code
-    recording = re.search(r"recording (\S+)", result.stdout)[1]
-    assert result.stderr.endswith(f"{word}: the drive is off, the muscle vented; {recording} is closed\n")
+    with running("run", "--simulated", "--config", config) as process:
+        recording = said(process, r"recording (\S+)")
+        said(process, "(Ctrl-C ends)")
+        process.send_signal(number)
+        output = process.communicate(timeout=WAIT_S)[0]
+    assert process.returncode == code
+    assert output.endswith(f"{word}: the drive is off, the muscle vented; {recording} is closed\n")
     assert logs.read(recording).finished

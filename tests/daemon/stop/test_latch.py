@@ -12,9 +12,7 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.assembly import Daemon
 from softarm.daemon.config.configuration import latch_path
-from softarm.daemon.runtime.devices import real_devices
 from softarm.daemon.stop import latch
 from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded
 from softarm.schemas.config import Config
@@ -215,39 +213,42 @@ def test_the_file_is_the_robots_whatever_else_is_configured(tmp_path):
     assert str(service) == "/var/lib/softarm/stop-fe80__1-502.json"
 
 
-# Over 3 s: a daemon as a process of its own.
-@pytest.mark.slow
-def test_after_a_kill_a_daemon_begins_stopped_until_that_is_acknowledged(tmp_path):
-    """Only the file's content in the middle of the run is left for the second daemon."""
-    file = tmp_path / "logs" / "stop-127.0.0.1-1.json"
+@contextmanager
+def daemon(folder):
+    """Run a daemon of a missing robot and kill it; yield its client, its stop address and its first line."""
     settings = {
-        "api": {"port": 0, "stop_port": 0},
+        "api": {"port": 0},
         "drivers": {
             "mocap": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
-            "regulator": {"port": str(tmp_path / "none")},
+            "regulator": {"port": str(folder / "none")},
             "rail": {"host": "127.0.0.1", "port": 1},
         },
-        "control": {"policy": "hold", "realtime_priority": 0},
-        "recorder": {"directory": str(tmp_path / "logs")},
+        "control": {"policy": "hold"},
+        "recorder": {"directory": str(folder / "logs")},
     }
-    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(settings))
-    config = Config.model_validate(settings)
-    with Daemon(config, real_devices(config)) as first:
-        until(lambda: first.loop.snapshot)
-        assert first.loop.snapshot.estop == "clear"
-        assert httpx.post(first.stop_url).json()["stopped"] is True
-        stopped_at = datetime.fromisoformat(httpx.get(f"{first.url}/api/status").json()["last_stop_at"])
-        until(lambda: killed(file) is not None)
-        left = file.read_bytes()
-    file.write_bytes(left)
-    with running("run", "--config", tmp_path / "arm.yaml") as process:
-        line = said(process, "(.*serving .*)")
-        assert "stopped since its last run (an emergency stop was requested" in line
-        with httpx.Client(base_url=re.search(r"serving (\S+)", line)[1], timeout=10.0) as client:
+    (folder / "arm.yaml").write_text(yaml.safe_dump(settings))
+    with running("run", "--config", folder / "arm.yaml") as process:
+        first = said(process, "(.*serving .*)")
+        stop_url = said(process, r"POST (http://\S+)")
+        with httpx.Client(base_url=re.search(r"serving (\S+)", first)[1], timeout=10.0) as client:
             until(lambda: client.get("/api/status").status_code == 200)
-            status = client.get("/api/status").json()
-            assert (status["mode"], status["estop"]) == ("stopped", "latched")
-            assert status["last_stop"].startswith("an emergency stop was requested")
-            assert abs(datetime.fromisoformat(status["last_stop_at"]) - stopped_at) < timedelta(seconds=1)
-            assert client.post("/api/acknowledge").status_code == 200
-            until(lambda: killed(file) is None)
+            yield client, stop_url, first
+
+
+# Over 3 s: two daemons, one after the other.
+@pytest.mark.slow
+def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_path):
+    file = tmp_path / "logs" / "stop-127.0.0.1-1.json"
+    with daemon(tmp_path) as (client, stop_url, _):
+        assert client.get("/api/status").json()["estop"] == "clear"
+        assert httpx.post(stop_url).json()["stopped"] is True
+        stopped_at = datetime.fromisoformat(client.get("/api/status").json()["last_stop_at"])
+        until(lambda: killed(file) is not None)
+    with daemon(tmp_path) as (client, _, first):
+        status = client.get("/api/status").json()
+        assert (status["mode"], status["estop"]) == ("stopped", "latched")
+        assert status["last_stop"].startswith("an emergency stop was requested")
+        assert abs(datetime.fromisoformat(status["last_stop_at"]) - stopped_at) < timedelta(seconds=1)
+        assert "stopped since its last run (an emergency stop was requested" in first
+        assert client.post("/api/acknowledge").status_code == 200
+        until(lambda: killed(file) is None)

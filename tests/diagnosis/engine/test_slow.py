@@ -54,10 +54,9 @@ def examined(thresholds=ROBOT, **view):
     return Examination(setup, known, thresholds, lambda what, share: None)
 
 
+@pytest.mark.parametrize("thresholds", [ROBOT, RIG], ids=["robot", "rig"])
 @pytest.mark.parametrize(
-    ("thresholds", "which", "when"),
-    [(ROBOT, "within", "within the trials"), (RIG, "over", "from the first trial to the last")],
-    ids=["robot", "rig"],
+    ("which", "when"), [("within", "within the trials"), ("over", "from the first trial to the last")]
 )
 def test_a_drifting_strength_is_unknown_and_the_sentence_says_what_drifts(thresholds, which, when):
     found = examined(thresholds, **{which: -0.5})
