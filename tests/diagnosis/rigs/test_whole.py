@@ -21,15 +21,39 @@ from softarm.diagnosis.rigs.subsample import together
 from softarm.diagnosis.rigs.whole import FEW, judged
 from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth
 from softarm.schemas.verdict import Interval
-from tests.diagnosis.rigs.recordings import mechanism
+from tests.diagnosis.rigs.recordings import described, mechanism
 
 LOAD = 0.6  # share of the last body's mass
+ITEM_KG = 0.5
+ITEM = f'<body pos="0.1 0.12 0"><inertial pos="0 0 0" mass="{ITEM_KG}" diaginertia="1e-9 1e-9 1e-9"/></body>'
+WRIST = """<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <default>
+    <joint damping="0.1" frictionloss="0.02" armature="0.01"/>
+    <position kp="60" kv="2"/>
+  </default>
+  <worldbody><body>
+    <joint name="bend" axis="0 1 0"/>
+    <inertial pos="0.1 0 0" mass="0.6" diaginertia="1e-3 2e-3 2e-3"/>
+    <body pos="0.25 0 0">
+      <joint name="roll" axis="1 0 0"/>
+      <inertial pos="0.05 0 0" mass="0.3" diaginertia="2e-4 3e-4 3e-4"/>{}
+    </body>
+  </body></worldbody>
+  <actuator><position name="bend_servo" joint="bend"/><position name="roll_servo" joint="roll"/></actuator>
+</mujoco>
+"""
 
 
 def by_joint(folder, robot, truth, seconds=3.0, item=None):
     """Return the trials of each joint of a recorded robot; item: as in `recordings.mechanism`."""
+    return read_by_joint(mechanism(folder, robot, truth, seconds, item))
+
+
+def read_by_joint(stage):
+    """Return the trials of each joint of a stage.yaml."""
     own = {}
-    for trial in tables.read(mechanism(folder, robot, truth, seconds, item)):
+    for trial in tables.read(stage):
         own.setdefault(trial.stage.name, []).append(trial)
     return own
 
@@ -51,6 +75,21 @@ def shown(own, **names):
             assumed={},
         )
     return found
+
+
+def record_wrist(text, file, seed):
+    """Follow sums of sines for two seconds at 100 Hz, with encoders of 0.05 mrad."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = 5e-4
+    data, random = mujoco.MjData(model), np.random.default_rng(seed)
+    frequency_hz, phase = np.array([0.3, 0.7, 1.3]), random.uniform(0, 2 * np.pi, (2, 3))
+    rows = ["t,bend_servo,roll_servo,bend,roll"]
+    for t_s in np.arange(200) / 100:
+        data.ctrl[:] = 0.4 * np.sin(2 * np.pi * frequency_hz * t_s + phase).sum(axis=1)
+        values = t_s, *data.ctrl, *data.qpos + 5e-5 * random.normal(size=2)
+        rows.append(",".join(f"{value:.8g}" for value in values))
+        mujoco.mj_step(model, data, nstep=20)
+    file.write_text("\n".join(rows))
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +170,21 @@ def test_a_load_across_a_link_that_no_joint_alone_explains_is_found_by_all_toget
     assert sorted(found.held) == ["hinge", "rail"]
     mass = found.held["hinge"].named.parameters["mass"]
     assert 0 < mass.low < item < mass.high
+
+
+def test_a_payload_beside_the_axis_of_the_last_joint_loads_it_as_well(tmp_path):
+    """Along that axis it does not, so the joint alone takes it for an error of its servo."""
+    (tmp_path / "robot.xml").write_text(WRIST.format(""))
+    for seed in range(2):
+        record_wrist(WRIST.format(ITEM), tmp_path / f"sines-{seed}.csv", seed)
+    commands = dict.fromkeys(("bend_servo", "roll_servo"), "rad")
+    measured = dict.fromkeys(("bend", "roll"), "rad")
+    own = read_by_joint(described(tmp_path, "robot.xml", measured=measured, command=commands))
+    (found,) = judged(own, shown(own, bend=("payload",), roll=("command_bias",)))
+    assert [held.named.name for held in found.held.values()] == ["bend.payload", "roll.payload"]
+    for held in found.held.values():
+        assert held.named.shared_by == ("bend", "roll")
+        assert held.named.parameters["mass"].low < ITEM_KG < held.named.parameters["mass"].high
 
 
 def test_one_heavier_body_is_named_at_all_joints_that_it_loads(shank):

@@ -79,7 +79,7 @@ class JointScales:
     lost: float  # mean torque of a motor that acts along the motion and that the motion does not need
     load: float  # largest torque of the weight and of the other joints' motion
     mass: float  # share of the load that the masses behind the joint make, 0 or 1
-    payload: float  # mass at the end that doubles the usual torque, kg; inf if a mass has no effect
+    payloads_kg: tuple[float, ...]  # that double the torque, along each axis of the last link; inf without effect
     moving_kg: float  # mass of the mechanism without its fixed base
     reach: float  # usual distance of a payload from the last joint, m; 0 for a balanced link
     either_side: bool  # whether a payload may be on the other side of that joint than the link's centre of mass
@@ -92,6 +92,16 @@ class JointScales:
     step_s: float  # sampling interval
     period_s: float  # period of the usual motion
     command_rate: float  # fastest change of the command per second; 0 without a command
+
+    @property
+    def payload_kg(self) -> float:
+        """Mass at the end that doubles the usual torque; inf if a mass has no effect."""
+        return self.payloads_kg[0] if self.shows_payload else min(self.payloads_kg)
+
+    @property
+    def shows_payload(self) -> bool:
+        """Whether a payload along the last link loads the joint; a last joint that turns it about itself shows none."""
+        return math.isfinite(self.payloads_kg[0])
 
     @property
     def give(self) -> float:
@@ -125,9 +135,18 @@ def adds_mass(effect: str) -> bool:
     return effect == "payload" or effect.startswith(MASS)
 
 
-def part_effects(stage: str, parts: Iterable[str]) -> tuple[Effect, ...]:
-    """Return the error of the mass of each part that a joint moves, by the part's first body."""
-    return of_stage(stage, map(_heavier, parts), ())
+def common_effects(stage: str, parts: Iterable[str], scales: JointScales) -> tuple[Effect, ...]:
+    """Return the effects that a joint shows only together with others.
+
+    Args:
+        stage: name of the joint.
+        parts: first bodies of the parts that it moves, each of which may have another mass.
+        scales: scales of its recordings. A joint in a position loop that turns the last link about itself shows a
+            payload across the link; without a loop it would fall within a window.
+    """
+    across = scales.follows and not scales.shows_payload and math.isfinite(scales.payload_kg)
+    payload = [_payload(scales)] if across else []
+    return of_stage(stage, [*map(_heavier, parts), *payload], ())
 
 
 def _heavier(part: str) -> Effect:
@@ -301,20 +320,8 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
             _share_of("all masses and inertias behind the joint"),
             name="mass",
         )
-    if math.isfinite(s.payload):
-        far, along, across = s.reach, "from the last joint, along its link", "across the link"
-        place = (
-            shape("distance", "m", far, -2 * far * s.either_side, 2 * far, far, along),
-            *(shape(axis, "m", 0.0, -2 * far, 2 * far, far, across) for axis in PLACE[1:]),
-        )
-        full = max(s.payload, CARRIED * s.moving_kg)
-        yield like(
-            "arm.payload",
-            "extra mass at the end of the mechanism",
-            "{mass} extra hang at the end, behind {stage}",
-            strength("mass", "kg", 0.0, 0.0, 10 * full, USUAL * full, "a point on the last link"),
-            *(place if s.reach else ()),
-        )
+    if s.shows_payload:
+        yield _payload(s)
     if s.carries:
         yield Effect(
             "length",
@@ -339,6 +346,22 @@ def _bodies(s: JointScales) -> Iterator[Effect]:
         "a spring of {stiffness} acts at {stage}",
         strength("stiffness", f"{s.force}/{s.length}", 0.0, 0.0, top, usual, "about its rest"),
         name="spring",
+    )
+
+
+def _payload(s: JointScales) -> Effect:
+    far, along, across = s.reach, "from the last joint, along its link", "across the link"
+    place = (
+        shape("distance", "m", far, -2 * far * s.either_side, 2 * far, far, along),
+        *(shape(axis, "m", 0.0, -2 * far, 2 * far, far, across) for axis in PLACE[1:]),
+    )
+    full = max(s.payload_kg, CARRIED * s.moving_kg)
+    return like(
+        "arm.payload",
+        "extra mass at the end of the mechanism",
+        "{mass} extra hang at the end, behind {stage}",
+        strength("mass", "kg", 0.0, 0.0, 10 * full, USUAL * full, "a point on the last link"),
+        *(place if s.reach else ()),
     )
 
 

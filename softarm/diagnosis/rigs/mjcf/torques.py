@@ -1,5 +1,6 @@
 """Torques that the measured motion of a joint needs, and how they change with bodies and base."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -36,6 +37,17 @@ class Torques:
     def tilted(self) -> Mapping[str, Array]:
         """Return the torque per rad of the base's tilt, by axis."""
         return {axis: self.load(self._slopes.tilted(axis)) for axis in self._slopes.axes}
+
+    def doubling_kg(self, felt: float) -> tuple[float, ...]:
+        """Return the payloads that double the torque, kg, at the usual distance along each axis of the last link, [3].
+
+        Args:
+            felt: share of the torque below which a payload has no effect; its mass is infinite then.
+        """
+        far, needed = 2 * self._slopes.reach_m, rms(self.total(self._slopes.base))
+        places = (far, 0.0, 0.0), (0.0, far, 0.0), (0.0, 0.0, far)
+        per_kg = [rms(self.total(self._slopes.loaded(at_m))) for at_m in places]
+        return tuple(needed / each if each > felt * needed else math.inf for each in per_kg)
 
     def like_tilt(self, axes: Sequence[str], follows: bool) -> str:
         """Return the effect whose torque is that of a tilted base, or an empty string.

@@ -24,9 +24,9 @@ from softarm.diagnosis.rigs.mjcf.effects import (
     MASS,
     JointScales,
     adds_mass,
+    common_effects,
     joint_effects,
     of_actuator,
-    part_effects,
 )
 from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
@@ -122,7 +122,8 @@ class JointView(RigView):
         names = [effect.name.rpartition(".")[2] for effect in own]
         common = [name for name in names if of_actuator(name)] if self._actuator and self._actuator.others else []
         self.shared = self.shared.union(common)
-        self.together, self.whole = part_effects(stage.name, parts), self.whole.union(common, (MASS + p for p in parts))
+        self.together = common_effects(stage.name, parts, scales)
+        self.whole = self.whole.union(common, (MASS + part for part in parts))
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
         given = given_values(stage, own)
@@ -348,8 +349,7 @@ class JointView(RigView):
         torques, slopes = self._torques, self._slopes
         needed, loads = torques.total(slopes.base), np.abs(torques.load(slopes.base))
         longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if self._mechanism.carries(joint) else np.zeros(1)
-        heavier, loaded = torques.total(slopes.heavier), torques.total(slopes.loaded((2 * slopes.reach_m, 0.0, 0.0)))
-        felt = FELT * rms(needed)
+        heavier, felt = torques.total(slopes.heavier), FELT * rms(needed)
         inertia = float(np.mean(slopes.base[laws.INERTIA]))
         floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least
         return JointScales(
@@ -362,7 +362,7 @@ class JointView(RigView):
             lost=lost(actuator, self._sent, found, needed),
             load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
             mass=float(rms(heavier) > felt),
-            payload=rms(needed) / rms(loaded) if rms(loaded) > felt else np.inf,
+            payloads_kg=torques.doubling_kg(FELT),
             moving_kg=self._mechanism.moving_kg(joint),
             reach=2 * slopes.reach_m,
             either_side=self._mechanism.last_link(self._joint).is_short,
