@@ -68,11 +68,16 @@ def _looks(view: View, scaled: Array, mask: NDArray[np.bool_], block_s: float) -
 
 def over_blocks(parts: Sequence[Array]) -> tuple[float, float]:
     """Return the mean of all blocks and its two-sided p-value, with the blocks' means as the sample."""
-    weights = np.array([np.isfinite(part).sum() for part in parts], dtype=float)
-    kept = weights > 0.2 * max(weights.max(initial=0.0), 1.0)
+    filled = [part for part in parts if len(part)]
+    if len(filled) < BLOCKS_LEAST:
+        return 0.0, 1.0
+    values, starts = np.concatenate(filled), np.cumsum([0, *map(len, filled[:-1])])
+    known = np.isfinite(values)
+    weights = np.add.reduceat(known, starts, dtype=float)
+    kept = weights > 0.2 * max(weights.max(), 1.0)
     if kept.sum() < BLOCKS_LEAST:
         return 0.0, 1.0
-    means = np.array([np.nanmean(part) for part, keep in zip(parts, kept, strict=True) if keep])
+    means = np.add.reduceat(np.where(known, values, 0.0), starts)[kept] / weights[kept]
     mean = float(np.average(means, weights=weights[kept]))
     error = float(means.std(ddof=1)) / np.sqrt(len(means))
     if error <= 0:
