@@ -162,7 +162,7 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
     strength = 0.5 if category == "half" else 1.0
     count = {"none": 0, "two": 2, "whole": 0}.get(category, 1)
     table, causes = UNKNOWNS if category == "unknown" else FAULTS, []
-    scales = scales_of(robot)
+    scales = scales_of(robot) if count else {}
     for joint in map(str, random.permutation(robot.judged)[:count]):
         fits = [key for key, fault in table.items() if _fits(robot, joint, fault)]
         key = str(random.choice(fits))
