@@ -190,7 +190,7 @@ def test_a_speed_out_of_range_is_refused(bench: Bench, speed: str) -> None:
 def test_centre_measures_the_middle_and_writes_it_on_request(bench: Bench) -> None:
     bench.push()
     before = bench.file.read_text()
-    answer = bench.softarm("centre", "--seconds", "20")
+    answer = bench.softarm("centre", "--seconds", "8")
     assert answer.exit_code == 0, answer.output
     assert "Push the cart by hand, slowly" in answer.output
     assert "travel 0.600 m, from -0.0130 to 0.5870 m on the axis" in answer.output
@@ -198,17 +198,17 @@ def test_centre_measures_the_middle_and_writes_it_on_request(bench: Bench) -> No
     assert "nothing was written" in answer.output
     assert bench.file.read_text() == before
     assert bench.drive.state is DriveState.SWITCH_ON_DISABLED
-    answer = bench.softarm("centre", "--seconds", "20", "--write")
+    answer = bench.softarm("centre", "--seconds", "8", "--write")
     assert answer.exit_code == 0, answer.output
     assert bench.file.read_text() == before.replace("  rail:\n", "  rail:\n    centre_m: 0.287\n")
-    answer = bench.softarm("centre", "--seconds", "20", "--write")
+    answer = bench.softarm("centre", "--seconds", "8", "--write")
     assert "drivers.rail is correct and was not changed" in answer.output
 
 
 def test_an_implausible_push_writes_nothing(bench: Bench) -> None:
     bench.push(reach_m=0.2)
     before = bench.file.read_text()
-    answer = bench.refuses("push the cart until it stops, at both ends", "centre", "--seconds", "20", "--write")
+    answer = bench.refuses("push the cart until it stops, at both ends", "centre", "--seconds", "8", "--write")
     assert "nothing was written" in answer.output
     assert bench.file.read_text() == before
 

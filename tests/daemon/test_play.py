@@ -15,8 +15,8 @@ from softarm.schemas.messages import MocapFrame
 
 @pytest.fixture
 def config(tmp_path, monkeypatch) -> Config:
-    """Return a configuration with an excitation of one second after a lead-in of half a second."""
-    short = excitation.Excitation("short", "half a bend", (excitation.Ramp(1.0, 0.0, 8.0),))
+    """Return a configuration with an excitation of half a second after a lead-in of half a second."""
+    short = excitation.Excitation("short", "half a bend", (excitation.Ramp(0.5, 0.0, 8.0),))
     monkeypatch.setitem(excitation.EXCITATIONS, "short", short)
     monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
     return Config.model_validate({"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}})

@@ -141,7 +141,7 @@ def test_the_film_shows_the_policy(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     few = flights.grid()[::40]
     monkeypatch.setattr(flights, "grid", lambda: few)
-    (tmp_path / "short.yaml").write_text("goals: {time_limit_s: 0.5}\n")
+    (tmp_path / "short.yaml").write_text("goals: {time_limit_s: 0.2}\n")
     monkeypatch.setattr("softarm.evaluation.film.AFTER_TICKS", 3)
     film = (MODELS / "shelf.onnx", "--film", "a.gif", "--target", -0.45, 0.6, "--config", "short.yaml")
     result = run(*film, "--workers", 1)

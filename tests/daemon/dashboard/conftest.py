@@ -29,6 +29,7 @@ def running(tmp_path, port: int = 0, **api) -> Iterator[Daemon]:
     there = {"port": port, "stop_port": 0, "reports": tmp_path / "reports"}
     settings = {
         "api": there | api,
+        "goals": {"time_limit_s": 2.0},  # a target is reached within half a second
         "recorder": {"directory": tmp_path},
         "control": {"realtime_priority": 0},  # a browser started later would inherit it
     }
@@ -87,12 +88,24 @@ def robot(daemon):
 
 
 SIZE = {"width": 1280, "height": 860}
+# A page draws every status, most of a test's processor time. Slow clients ask for fewer too; test_deadlines for all.
+SLOWER = """
+WebSocket = class extends WebSocket {
+  constructor(url) { super(String(url).replace("hz=30", "hz=10")); }
+};
+"""
+
+
+def slower(context):
+    """Return the context, whose pages now ask for ten statuses a second."""
+    context.add_init_script(SLOWER)
+    return context
 
 
 @pytest.fixture(scope="module")
 def desk(browser):
     """Return a browser context shared by the pages of a file, with cached scripts."""
-    return browser.new_context(viewport=SIZE)
+    return slower(browser.new_context(viewport=SIZE))
 
 
 class Watched:
@@ -149,7 +162,7 @@ class Watched:
         page.locator("#drawing svg").wait_for()
 
     def _context(self, options):
-        context = self._browser.new_context(**{"viewport": SIZE} | options)
+        context = slower(self._browser.new_context(**{"viewport": SIZE} | options))
         self._contexts.append(context)
         return context
 

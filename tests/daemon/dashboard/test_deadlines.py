@@ -13,6 +13,12 @@ from websockets.sync.client import connect
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
+@pytest.fixture(scope="module")
+def desk(browser):
+    """Return a context whose pages ask for every status."""
+    return browser.new_context(viewport={"width": 1280, "height": 860})
+
+
 def age_s(page) -> float:
     return float(re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())[1])
 

@@ -79,7 +79,18 @@ async () => {
 """
 
 
-def test_tabs_are_chosen_by_arrow_keys_and_events_and_goals_appear(page, robot, press):
+@pytest.fixture
+def flight(daemon):
+    """Yield a finished log in the daemon's folder."""
+    place = daemon.config.recorder.directory / "flight.mcap"
+    shutil.copy(FLIGHT, place)
+    yield place
+    place.unlink(missing_ok=True)
+
+
+def test_tabs_are_chosen_by_arrow_keys_and_show_events_goals_logs_and_reports(
+    page, robot, press, daemon, flight, tmp_path
+):
     page.locator("#panel-policies-tab").focus()
     names = []
     for _ in range(7):
@@ -108,17 +119,6 @@ def test_tabs_are_chosen_by_arrow_keys_and_events_and_goals_appear(page, robot, 
     assert row.get_attribute("class") == f"goal {goal['state']}"  # on a busy machine the arm may miss
     assert "of" in panel.locator(".hint").inner_text()
 
-
-@pytest.fixture
-def flight(daemon):
-    """Yield a finished log in the daemon's folder."""
-    place = daemon.config.recorder.directory / "flight.mcap"
-    shutil.copy(FLIGHT, place)
-    yield place
-    place.unlink(missing_ok=True)
-
-
-def test_logs_are_downloaded_and_deleted_and_reports_opened(page, daemon, flight, tmp_path):
     panel = tab(page, "reports")
     panel.locator("text=No reports").wait_for()
     folder = daemon.config.api.reports
@@ -169,6 +169,7 @@ def short(monkeypatch):
     made = excitation.Excitation("short", "half a bend", (excitation.Ramp(2.0, 0.0, 8.0),))
     monkeypatch.setitem(excitation.EXCITATIONS, "short", made)
     monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
+    monkeypatch.setattr("softarm.daemon.runtime.excitation._AFTER_S", 0.1)
 
 
 # The window's event may come before the focus has moved, or not at all; the page must not depend on it.

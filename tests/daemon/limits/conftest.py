@@ -18,7 +18,7 @@ def _cart(
     latency_s: float = 1 / 30,
     pull_m_s2: float = 0.0,
     *,
-    seconds: float = 60.0,
+    seconds: float = 45.0,
     age_s: float = 0.0,
     filter_s: float = 0.0,
     quantum_m_s: float = 1e-3,
