@@ -35,7 +35,7 @@ def test_the_example_ends_in_a_patched_model_with_the_hidden_friction(tmp_path, 
     assert [made[0], copied[0], recorded[0]] == ["mkdir", "cp", "python"]
     shutil.copytree(ROOT / "examples/mujoco", tmp_path / "examples/mujoco")
     script = tmp_path / "examples/mujoco/record.py"
-    script.write_text(script.read_text().replace("DURATION_S, RATE_HZ = 8.0", "DURATION_S, RATE_HZ = 3.0"))
+    script.write_text(script.read_text().replace("DURATION_S, RATE_HZ = 8.0", "DURATION_S, RATE_HZ = 2.0"))
     folder = tmp_path / made[1]
     folder.mkdir()
     monkeypatch.chdir(folder)

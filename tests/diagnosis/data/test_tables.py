@@ -45,11 +45,10 @@ def test_every_format_gives_the_same_values(tmp_path, suffix):
     np.testing.assert_allclose(trial.channels["measured"]["position"], np.sin(T - 0.1) + 1.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("byte", [130, 144])
-def test_a_damaged_mat_file_is_rejected_even_if_it_crashes_scipy(tmp_path, byte):
+def test_a_damaged_mat_file_is_rejected_even_if_it_crashes_scipy(tmp_path):
     stage = put(tmp_path, ".mat")
     data = bytearray((tmp_path / "data.mat").read_bytes())
-    data[byte] ^= 0xDB
+    data[144] ^= 0xDB
     (tmp_path / "data.mat").write_bytes(data)
     with pytest.raises(TrialError, match=r"data\.mat: "):
         tables.read(stage)
@@ -91,7 +90,8 @@ def test_recordings_of_public_servos_are_read_without_a_warning(data, stage):
 
 
 def test_public_recordings_of_pendulums_are_read_without_a_warning(data):
-    trials = [trial for stage in sorted(STAGES.glob("*pendulum*.yaml")) for trial in tables.read(stage, data)]
+    stages = ("double-pendulum", "pendulum-free", "pendulum-single", "pendulum-triple")
+    trials = [trial for stage in stages for trial in tables.read(STAGES / f"{stage}.yaml", data)]
     assert sum(trial.stage.kind == "pendulum" for trial in trials) == 1 + 6 + 26
     assert [w for t in trials for w in t.warnings] == []
     free = next(t for t in trials if t.name == "free-swing-1").channels["measured"]

@@ -113,7 +113,7 @@ def test_a_trial_has_no_access_to_the_end_of_another_trial():
     view = _view(length=LONGEST)
     residual = np.roll(view.features["input"], LONGEST)
     view.measured = residual[:, None]
-    share, _ = explainable(view, residual[:, None], np.arange(SAMPLES) * 4 // SAMPLES)
+    share, _ = explainable(view, residual[:, None], np.arange(SAMPLES) * 2 // SAMPLES)
     assert share < 0.02
 
 

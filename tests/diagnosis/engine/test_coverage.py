@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import binom
 
 from softarm.diagnosis.engine import structure
@@ -41,9 +42,8 @@ class _Gauge(Gauge):
         draw = np.random.default_rng(self.seed)
         self.input = np.sin(2 * np.pi * 0.4 * T + 6 * draw.random(TRIALS)[self.trial])
         noise, keep = draw.normal(size=(STEPS, TRIALS)), np.exp(-1 / (RATE_HZ * self.memory_s)) if self.memory_s else 0
-        for k in range(1, STEPS):
-            noise[k] = keep * noise[k - 1] + np.sqrt(1 - keep**2) * noise[k]
-        self.noise = noise.T.reshape(-1, 1)
+        noise[1:] *= np.sqrt(1 - keep**2)
+        self.noise = lfilter([1.0], [1.0, -keep], noise, axis=0).T.reshape(-1, 1)
         self.measured = self._predict(TRUE)[:, None] + self.noise
 
     def _predict(self, point):

@@ -128,7 +128,7 @@ def test_a_muscle_at_rest_keeps_the_models_gain_and_the_papers_misprinted_masses
 
 
 def test_lost_frames_and_a_long_gap_are_survived(record):
-    trial = record("pressure-multisine")
+    trial = record("pressure-multisine", length_s=7.0)
     mocap = trial.channels["mocap"]
     draw = np.random.default_rng(0)
     seen = draw.random(len(mocap)) > 0.1
@@ -141,7 +141,7 @@ def test_lost_frames_and_a_long_gap_are_survived(record):
 
 
 def test_a_trial_without_pressure_is_left_out_in_words(record):
-    trial = record("pressure-multisine")
+    trial = record("pressure-multisine", length_s=7.0)
     blind = replace(trial, channels={k: v for k, v in trial.channels.items() if k != "pressure"})
     with pytest.raises(TrialError, match=r"no trial shows the arm: .* was left out: arm is not observable"):
         identify(Model(), (blind,))

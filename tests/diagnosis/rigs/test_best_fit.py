@@ -26,7 +26,7 @@ def test_whole_recordings_show_an_error_that_windows_hide(tmp_path):
 def test_the_best_fit_predicts_whole_recordings_and_not_windows(tmp_path):
     """Damping moves a joint between its windows' starts about as friction does, and lets it drift in the long run."""
     weak = changed(LOOP, 'kp="2" kv="0.05" forcerange="-8 8"')
-    record(weak.replace('frictionloss="0.05"', 'frictionloss="0.15"'), tmp_path / "motion.csv", seconds=5)
+    record(weak.replace('frictionloss="0.05"', 'frictionloss="0.15"'), tmp_path / "motion.csv", seconds=3)
     view, windows = view_of(elbows(tmp_path, weak))
     known = {each.name.partition(".")[2]: each for each in candidates(view)}
     sets = [(known["coulomb_friction"],), (known["damping"],), ()]
@@ -41,7 +41,7 @@ def test_the_best_fit_predicts_whole_recordings_and_not_windows(tmp_path):
 def test_a_joint_that_nothing_holds_keeps_its_windows(tmp_path):
     free = changed(f"<position {LOOP} ctrlrange", "<motor ctrlrange").replace("<position", "<motor")
     free = free.replace("<option ", '<option gravity="0 0 0" ')
-    record(free, tmp_path / "motion.csv", seconds=5)
+    record(free, tmp_path / "motion.csv", seconds=3)
     view, _ = view_of(elbows(tmp_path, free))
     assert view.uninterrupted() is view
 

@@ -167,7 +167,7 @@ def test_a_perfect_model_has_no_gap():
 
 
 def test_dead_band_and_droop_of_a_servo_are_named():
-    commands = {"multisine": tone(T, 0), "steps": 0.15 * np.sign(np.sin(0.8 * T)), "slow": 0.2 * np.sin(0.3 * T)}
+    commands = {"multisine": tone(T, 0), "steps": 0.15 * np.sign(np.sin(0.8 * T))}
     trials = followed({"deadband.width": 0.03, "gain.offset": 0.04}, commands, seed=3)
     shares: list[float] = []
     diagnosis = diagnose_table(trials, lambda text, share: shares.append(share))

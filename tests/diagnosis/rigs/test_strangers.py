@@ -59,7 +59,7 @@ def driven(**beyond):
 
 def free(**beyond):
     """Return three free swings."""
-    still = np.zeros(round(6 / STEP_S))
+    still = np.zeros(round(3 / STEP_S))
     return [recorded(f"swing {k}", "swing", pole(q, still, **beyond)) for k, q in enumerate((0.9, 0.5, 0.25))]
 
 

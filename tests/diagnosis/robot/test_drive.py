@@ -19,6 +19,7 @@ FURTHER = {
     "force limit": (("rail.force_limit", (("force", 1.4),)),),
     "delay": (("rail.delay", (("delay", 0.08),)),),
 }
+QUICK = ((True, "force limit"), (False, "lag"))
 
 
 def law(trials, model=MODEL):
@@ -28,10 +29,9 @@ def law(trials, model=MODEL):
 @pytest.mark.parametrize(
     ("servo", "further"),
     [
-        *((True, further) for further in ("nothing", "force limit")),
-        *((False, further) for further in ("nothing", "lag")),
-        *(pytest.param(True, further, marks=pytest.mark.prove) for further in ("lag", "friction", "delay")),
-        *(pytest.param(False, further, marks=pytest.mark.prove) for further in ("friction", "force limit", "delay")),
+        pytest.param(servo, further, marks=() if (servo, further) in QUICK else pytest.mark.prove)
+        for servo in (True, False)
+        for further in FURTHER
     ],
 )
 def test_the_law_that_moved_the_cart_is_recognised(campaign, further, servo):
@@ -47,6 +47,7 @@ def test_a_model_with_a_servo_and_a_held_rail_are_unchanged(campaign):
     assert with_identified_drive(grid, MODEL, KINDS) is MODEL
 
 
+@pytest.mark.prove
 def test_a_lag_of_a_servo_is_named_alone_with_its_size_and_the_patch_has_its_law(campaign):
     found = diagnose(campaign((*FURTHER["lag"], SERVED), KINDS), MODEL)
     (effect,) = found.verdict.effects

@@ -29,7 +29,7 @@ def moved(tmp_path_factory):
     """Return the arm, the motion of its joints, and the torque that each of them needs."""
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
-    model, random, t_s = mujoco.MjModel.from_xml_string(ARM), np.random.default_rng(2), np.linspace(0, 20, 1000)
+    model, random, t_s = mujoco.MjModel.from_xml_string(ARM), np.random.default_rng(2), np.linspace(0, 20, 150)
     rates, phases, sizes = (random.uniform(*ends, (3, 4)) for ends in ((1, 6), (0, 6), (0.1, 0.4)))
     turns = rates[..., None] * t_s + phases[..., None]
     position = 0.4 + np.einsum("jk,jkt->jt", sizes, np.sin(turns))

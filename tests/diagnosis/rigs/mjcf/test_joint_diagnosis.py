@@ -41,7 +41,7 @@ TILT_RAD = (0.0524, -0.0349)
 @pytest.fixture(scope="module")
 def camera(tmp_path_factory):
     """Three recordings of a camera that pans and tilts on a vehicle."""
-    return tables.read(mechanism(tmp_path_factory.mktemp("camera"), "camera", Truth({}), seconds=2.0))
+    return tables.read(mechanism(tmp_path_factory.mktemp("camera"), "camera", Truth({}), seconds=1.5))
 
 
 def test_each_measured_joint_is_a_stage_that_the_other_joints_and_the_base_drive(camera):
@@ -63,7 +63,7 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     simulated.dof_frictionloss[:] = 0.7
     for number in range(2):
         data, rows, turn = mujoco.MjData(simulated), [], np.random.default_rng(number).uniform(0, 6, 2)
-        for k in range(200):
+        for k in range(150):
             t = 0.01 * k
             data.ctrl[0] = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
             rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4)))
@@ -222,14 +222,14 @@ def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path)
 
 
 def test_joints_on_one_branch_load_each_other(swinging):
-    views = {name: JointView([t for t in swinging if t.stage.name == name]) for name in ("rail", "hinge")}
+    views = {name: JointView([t for t in swinging if t.stage.name == name][:1]) for name in ("rail", "hinge")}
     assert views["rail"].driven_by == {"hinge"}
     assert views["hinge"].driven_by == {"rail"}
 
 
 def with_zeros(trials, joint, zeros):
     """Return a joint's trials whose readings of it are off by a zero for each recording."""
-    own = [trial for trial in trials if trial.stage.name == joint]
+    own = [trial for trial in trials if trial.stage.name == joint][: len(zeros)]
     found = []
     for trial, zero in zip(own, zeros, strict=True):
         series = trial.channels["measured"]
@@ -240,16 +240,16 @@ def with_zeros(trials, joint, zeros):
 
 def test_zeros_that_differ_between_recordings_are_no_gap_but_their_mean_is(swinging):
     """An encoder that is set to zero at each start: dry friction holds the pose at which it is set."""
-    apart, same = (0.02, -0.02, 0.0), (0.02, 0.02, 0.02)
+    apart, same = (0.02, -0.02), (0.02, 0.02)
     right, differ, shifted = (
         float(np.sqrt(np.nanmean(view_of(with_zeros(swinging, "hinge", zeros))[0].gap([{}]) ** 2)))
-        for zeros in ((0.0, 0.0, 0.0), apart, same)
+        for zeros in ((0.0, 0.0), apart, same)
     )
     assert right < differ < 0.2 * shifted
 
 
 def test_a_difference_that_no_zero_has_stays_a_gap(swinging):
-    view = JointView(with_zeros(swinging, "hinge", (0.3, -0.3, 0.0)))
+    view = JointView(with_zeros(swinging, "hinge", (0.3, -0.3)))
     assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) > 0.1
     assert not any("zero" in warning for warning in view.warnings({}))
 
@@ -295,9 +295,12 @@ def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     ],
     ids=["shoulder", "elbow", "one recording of the elbow"],
 )
-def test_a_real_joint_has_the_dry_friction_that_its_authors_found(data, joint, zero, theirs, used):
+def test_a_real_joint_has_the_dry_friction_that_its_authors_found(data, tmp_path, joint, zero, theirs, used):
     """Their law is arctan(100 rate), so `theirs` is the most; they give hardly any viscous friction."""
-    trials = [trial for trial in shipped("double-pendulum-mujoco.yaml", data) if trial.stage.name == joint][used]
+    (tmp_path / "double-pendulum").mkdir()
+    for run in sorted((data / "double-pendulum").glob("run-*.csv"))[used]:
+        (tmp_path / "double-pendulum" / run.name).symlink_to(run)
+    trials = [trial for trial in shipped("double-pendulum-mujoco.yaml", tmp_path) if trial.stage.name == joint]
     view, _ = view_of(trials)
 
     def left(path, values):
@@ -343,7 +346,7 @@ HANGING = """<mujoco>
 </mujoco>"""
 
 
-def hand(folder, dry, load="", *, noise=5e-4, wave=np.sin, samples=1000):
+def hand(folder, dry, load="", *, noise=5e-4, wave=np.sin, samples=500):
     """Return the trials of a hand with a fine encoder, whose load depends on the coarse one of the upper arm.
 
     load: body in the hand that its model lacks; noise: of the coarse encoder, rad; wave: of the arm's command.
@@ -407,7 +410,7 @@ def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
 def test_a_light_joint_may_carry_ten_times_its_own_mass(tmp_path):
     """The hand of 0.1 kg swings with so little torque that a payload of 50 g would double it."""
     load = '<body pos="0 0 -0.08"><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body>'
-    verdict = diagnose_table(hand(tmp_path, dry=0.0, load=load)).verdict
+    verdict = diagnose_table(hand(tmp_path, dry=0.0, load=load, samples=1000)).verdict
     ((name, sizes),) = ((effect.name, effect.parameters) for effect in verdict.effects)
     assert (verdict.verdict, name) == ("named", "hand.payload")
     assert sizes["mass"].low <= 1.0 <= sizes["mass"].high

@@ -136,7 +136,7 @@ SIZES = {
 ONE = st.sampled_from
 
 
-@settings(max_examples=35)
+@settings(max_examples=20)
 @given(
     ONE(DEFAULTS),
     ONE(ACTUATORS),

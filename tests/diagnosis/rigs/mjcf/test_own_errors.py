@@ -33,7 +33,7 @@ channels:
 model: {mjcf: robot.xml}
 trials: [{files: "motion*.csv"}]
 """
-RATE_HZ, SECONDS = 125, 4
+RATE_HZ, SECONDS = 125, 3
 
 
 def record(text, file, seed):
@@ -59,7 +59,7 @@ def record(text, file, seed):
     file.write_text("\n".join(rows))
 
 
-def turret(folder, integrator, recordings=3):
+def turret(folder, integrator, recordings=2):
     """Return the trials of the turret, of a healthy robot that MuJoCo has moved."""
     text = ROBOT.format(integrator=integrator)
     (folder / "robot.xml").write_text(text)
@@ -97,8 +97,8 @@ def servo(folder, sizes, dry):
     """Return the trials of a position loop that MuJoCo has moved; dry: friction besides the model's."""
     (folder / "robot.xml").write_text(SERVO.format(dry=0.02, **sizes))
     stage = described(folder, "robot.xml", measured={"elbow": "rad"}, command={"servo": "rad"})
-    model, t = mujoco.MjModel.from_xml_string(SERVO.format(dry=0.02 + dry, **sizes)), np.arange(400) / 100
-    for seed in range(3):
+    model, t = mujoco.MjModel.from_xml_string(SERVO.format(dry=0.02 + dry, **sizes)), np.arange(300) / 100
+    for seed in range(2):
         data, random = mujoco.MjData(model), np.random.default_rng(seed)
         phases = random.uniform(0, 2 * np.pi, 3)
         goals = 0.2 * sum(np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.9, 1.7), phases, strict=True))

@@ -11,8 +11,8 @@ from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, of_mujoco, travelled
 from tests.diagnosis.verdicts import effect, verdict, with_parameters
 
-STEPS = 900
-COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 0.7 * H * np.arange(STEPS)))
+STEPS = 500
+COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 1.3 * H * np.arange(STEPS)))
 
 
 def written(folder, model_text, *effects):
