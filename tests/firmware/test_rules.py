@@ -138,7 +138,7 @@ SPOKEN = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(SPOKEN, max_size=25), st.sampled_from([0.0, WRAP_MS - 700, 3 * WRAP_MS - 2000]))
 def test_the_relay_is_closed_only_when_allowed(make_board: Any, script: list[Any], start_ms: float) -> None:
     host = Host(make_board(itertools.count(7).__next__), start_ms)

@@ -114,7 +114,7 @@ RANGE_ENDS = [
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     script=st.lists(st.tuples(STEP, st.integers(0, 60)), min_size=5, max_size=60),
     start_us=st.sampled_from([0, 2**31 - 150_000, 2**32 - 1, 2**32 - 150_000, 5 * 2**32 - 40_000]),

@@ -74,7 +74,7 @@ sdist = build_meta.build_sdist(out)
 with tarfile.open(f"{out}/{sdist}") as packed:
     packed.extractall("unpacked", filter="data")
 os.chdir(os.path.join("unpacked", sdist.removesuffix(".tar.gz")))
-build_meta.build_wheel(out)
+build_meta.build_wheel(out, {"--build-option": "--compression=stored"})
 """
 
 

@@ -153,7 +153,7 @@ def _truths(flown: Any) -> tuple[Any, ...]:
 def test_an_imperfection_changes_its_stage_and_none_upstream(name: str) -> None:
     group, field = name.split(".")
     value, companions = EXEMPLARS[name]
-    seconds = {"regulator": 0.8, "rail": 0.6, "arm": 0.6}.get(group, 0.2)
+    seconds = {"regulator": 0.8, "rail": 0.4, "arm": 0.4}.get(group, 0.2)
     without, having = (fly(perturb(group, **each), seconds) for each in (companions, companions | {field: value}))
     pressure, cart, ends = (np.abs(a - b).max() for a, b in zip(_truths(having), _truths(without), strict=True))
     if group in ("regulator", "rail", "arm"):
@@ -188,7 +188,7 @@ def test_dead_time_has_its_declared_length() -> None:
     ],
 )
 def test_the_reached_pressure_follows_the_imperfections(values: dict[str, float], reached_kpa: Any) -> None:
-    flown = fly(perturb("regulator", **values), 3.9, levels((1.3, 10.0), (2.3, 12.0), (3.9, 4.0)))
+    flown = fly(perturb("regulator", **values), 3.9, levels((1.3, 10.0), (2.3, 12.0), (3.9, 4.0)), held=True)
     np.testing.assert_allclose(flown.pressure_kpa[[38, 68, 116]], reached_kpa, atol=0.01)
 
 
@@ -196,7 +196,7 @@ def test_filling_and_venting_have_the_declared_time_constants() -> None:
     """The area between a step and the answer to it is the step times the time constant, whatever the tube."""
     up_and_down = levels((1, 10.0), (2.4, 0.0))
     for tube_s in (0.0, 0.03):
-        flown = fly(perturb("regulator", inflate_s=0.1, deflate_s=0.2, tube_s=tube_s), 2.4, up_and_down)
+        flown = fly(perturb("regulator", inflate_s=0.1, deflate_s=0.2, tube_s=tube_s), 2.4, up_and_down, held=True)
         lags_s = (10 - flown.pressure_kpa[:30]).sum() / 300, flown.pressure_kpa[30:].sum() / 300
         # Sampled at the ends of the ticks: half a tick is missing from each area.
         np.testing.assert_allclose(np.add(lags_s, 0.5 / 30), (0.1, 0.2), rtol=0.03)
@@ -204,18 +204,18 @@ def test_filling_and_venting_have_the_declared_time_constants() -> None:
 
 @pytest.mark.slow
 def test_the_arm_hangs_as_declared() -> None:
-    def hang_m(pressure_kpa: float, **values: float) -> float:
-        seconds = 4.0 if pressure_kpa else 0.1  # it starts at rest without pressure
+    def hang_m(pressure_kpa: float, seconds: float = 0.1, **values: float) -> float:
         pressed = levels((seconds, pressure_kpa))
-        flown = fly(perturb("arm", damping=4.0, **values), seconds, pressed, held=True, hanging=True)
+        start = {"held": True, "hanging": not pressure_kpa}
+        flown = fly(perturb("arm", damping=4.0, **values), seconds, pressed, **start)
         return float(flown.ends_m[-1, -1, 0])
 
-    assert hang_m(10.0, muscle_gain=0.2) == pytest.approx(hang_m(12.0), abs=2e-5)
+    assert hang_m(10.0, 1.0, muscle_gain=0.2) == pytest.approx(hang_m(12.0, 1.0), abs=2e-5)
     assert hang_m(0.0, torque_offset=-1.0) == pytest.approx(0.0, abs=2e-5)
     assert hang_m(0.0) < hang_m(0.0, stiffness=1.0) < -0.002
     assert hang_m(0.0) < hang_m(0.0, payload_kg=0.1) < -0.002
     assert hang_m(0.0, tilt_rad=0.1) > hang_m(0.0) + 0.005
-    assert hang_m(8.0, saturation_kpa=8.0) == pytest.approx(hang_m(8.0 / 2 ** (1 / 3)), abs=2e-5)
+    assert hang_m(8.0, 3.5, saturation_kpa=8.0) == pytest.approx(hang_m(8.0 / 2 ** (1 / 3), 3.5), abs=2e-5)
 
 
 def test_choked_flow_limits_the_slope() -> None:
@@ -225,7 +225,7 @@ def test_choked_flow_limits_the_slope() -> None:
 
 def test_the_valve_sticks_at_low_pressure_only() -> None:
     steps = levels((1.5, 12.0), (2.8, 11.0), (4.6, 1.0))
-    flown = fly(perturb("regulator", stick_kpa=2.0, stick_below_kpa=5.0), 4.6, steps)
+    flown = fly(perturb("regulator", stick_kpa=2.0, stick_below_kpa=5.0), 4.6, steps, held=True)
     assert flown.pressure_kpa[83] == pytest.approx(11.0, abs=0.01)  # a small step up there is followed
     assert flown.pressure_kpa[-1] == pytest.approx(3.0, abs=0.1)  # and down here it stays 2 kPa off
 
@@ -306,7 +306,7 @@ def test_the_loose_marker_wobbles_alone() -> None:
 
 
 def test_frames_are_lost_at_the_declared_rate_and_counted() -> None:
-    frames = fly(perturb("mocap", dropout=0.3), 3.0).frames
+    frames = fly(perturb("mocap", dropout=0.3), 3.0, held=True).frames
     assert 1 - len(frames) / frames[-1].sequence == pytest.approx(0.3, abs=0.05)
 
 
@@ -339,9 +339,9 @@ def test_hysteresis_is_a_rate_independent_loop() -> None:
 
 def test_warming_up_softens_the_arm_and_creep_continues() -> None:
     def late_m(**values: float) -> float:
-        tip_y_m = fly(perturb("arm", damping=4.0, **values), 5.0, levels((5, 10.0)), held=True).ends_m[:, -1, 0]
+        tip_y_m = fly(perturb("arm", damping=4.0, **values), 4.0, levels((4, 10.0)), held=True).ends_m[:, -1, 0]
         return float(tip_y_m[-1] - tip_y_m[74])
 
     assert abs(late_m()) < 2e-4
     assert late_m(softening=0.4, softening_s=3.0) < -0.002
-    assert late_m(creep=0.4, creep_s=3.0) < -0.002
+    assert late_m(creep=0.5, creep_s=3.0) < -0.002

@@ -45,14 +45,16 @@ def test_a_hanging_arm_is_at_rest_from_the_start() -> None:
     np.testing.assert_allclose(robot.truth.link_ends_m, start.link_ends_m, atol=2e-5)
 
 
-@pytest.mark.parametrize("held", [True, False])
-@pytest.mark.parametrize("arm", [Arm(), Arm(friction_nm=0.02), Arm(air_kg_m3=5.0), Arm(payload_kg=0.1)])
-def test_energy_is_never_created_with_everything_off(held: bool, arm: Arm) -> None:
+@pytest.mark.parametrize(
+    ("arm", "held"),
+    [(Arm(), True), *((arm, False) for arm in (Arm(friction_nm=0.02), Arm(air_kg_m3=5.0), Arm(payload_kg=0.1)))],
+)
+def test_energy_is_never_created_with_everything_off(arm: Arm, held: bool) -> None:
     """Bent, let go, with no pressure and no drive: springs, gravity and dampers alone."""
     robot = Robot(RobotParameters(body=STRAIGHT, arm=arm), held=held)
     robot.plant.data.qpos[1:] = -0.15
     energies = [energy_j(robot.plant)]
-    for _ in range(3000):
+    for _ in range(2000):
         robot.plant.step(0.0, 0.0, 0.0)
         energies.append(energy_j(robot.plant))
     assert np.diff(energies).max() < 1e-5 * energies[0]

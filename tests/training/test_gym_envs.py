@@ -163,7 +163,7 @@ def test_next_step_autoreset_begins_an_episode_in_a_separate_step() -> None:
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observation, _ = env.reset(seed=2)
     over, ended = np.zeros(6, np.bool_), 0
-    for _ in range(230):
+    for _ in range(204):
         actions = np.clip(env.np_random.normal(0.0, 0.5, (6, 2)), -1.0, 1.0).astype(np.float32)
         before = observation
         observation, reward, terminated, truncated, info = env.step(actions)

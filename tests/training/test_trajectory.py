@@ -138,7 +138,7 @@ def test_a_second_guess_replaces_a_plan_that_misses(small, monkeypatch):
 
 
 def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
-    for name, value in {"ROUNDS": 5, "POPULATION": 32, "ELITES": 5}.items():
+    for name, value in {"ROUNDS": 4, "POPULATION": 24, "ELITES": 4}.items():
         monkeypatch.setattr(ceiling, name, value)
     found = ceiling.search(TARGETS, 0.1, seed=1)
     np.testing.assert_array_equal(np.isfinite(found.reached_s), REACHABLE)

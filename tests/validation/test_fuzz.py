@@ -10,8 +10,8 @@ from validation.fuzz.trials import try_case
 
 # What takes milliseconds a case gets fewer; the others CASES.
 CASES = 30
-FEW = {"table.mat": 1, "npz.plans": 10, "pt.checkpoint": 4, "api.server": 10}
-FEW |= {name: 4 for name in PARSERS if name.startswith(("yaml.", "log.", "csv.", "onnx."))}
+FEW = {"table.mat": 1, "npz.plans": 10, "pt.checkpoint": 2, "api.server": 5}
+FEW |= {name: 2 for name in PARSERS if name.startswith(("yaml.", "log.", "csv.", "onnx."))}
 
 
 @pytest.mark.slow

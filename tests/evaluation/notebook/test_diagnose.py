@@ -7,7 +7,7 @@ import pytest
 import softarm
 from softarm.diagnosis import report
 from softarm.diagnosis.data.trials import TrialError
-from softarm.evaluation.notebook.diagnose import ReportedDiagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.simulator.model_file import ModelFileError
 
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
@@ -19,6 +19,7 @@ def test_a_diagnosis_shows_its_answer_and_its_report(tmp_path):
     with pytest.warns(UserWarning, match=r"no model\.yaml .* the seed's simulator is the nominal model") as warned:
         diagnosis = softarm.diagnose(str(FLIGHT))
     assert warned[0].filename == __file__
+    assert isinstance(diagnosis, Diagnosis)
     assert diagnosis.verdict.verdict == "none"
     assert repr(diagnosis).splitlines() == list(report.answer(diagnosis))
     diagnosis.save(tmp_path / "report.html")
@@ -39,9 +40,3 @@ def test_a_diagnosis_shows_its_answer_and_its_report(tmp_path):
 def test_an_error_names_the_value_and_the_next_step(recordings, options, error, text):
     with pytest.raises(error, match=text):
         softarm.diagnose(*recordings, **options)
-
-
-def test_the_object_is_a_diagnosis():
-    from softarm.diagnosis.engine.result import Diagnosis
-
-    assert issubclass(ReportedDiagnosis, Diagnosis)

@@ -13,7 +13,7 @@ from softarm.evaluation.notebook import needs
 from softarm.evaluation.runner import Runner, load
 from softarm.policies.base import MODELS
 from softarm.recordings import tables
-from softarm.schemas.config import Config
+from softarm.schemas.config import Config, Goals
 from softarm.schemas.flights import SHELF_MIDDLE_M, Scenario
 from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
@@ -51,13 +51,15 @@ def test_the_table_has_a_row_for_each_tick_and_the_columns_of_the_export(flight,
     assert flight.table["action_pressure_kpa"][-1].as_py() is None  # no policy acts after the goal
 
 
-def test_start_model_and_seed_change_the_flight(flight):
+def test_start_model_and_seed_change_the_flight():
+    short = Config(goals=Goals(time_limit_s=0.5))
+
     def drawn(**options):
-        table = softarm.fly("reach", target=TARGET, **options).table
+        table = softarm.fly("reach", target=TARGET, config=short, **options).table
         return table["observed_tip_y_m"].to_pylist()
 
     noisy = Model().model_copy(update={"effects": {**Model().effects, "mocap.noise": {"sigma": 0.002}}})
-    usual = flight.table["observed_tip_y_m"].to_pylist()
+    usual = drawn()
     assert drawn() == usual
     assert drawn(model=noisy, seed=1) == drawn(model=noisy, seed=1) != drawn(model=noisy, seed=2)
     assert drawn(start=0.1)[0] == pytest.approx(0.1, abs=0.01)
@@ -88,7 +90,7 @@ def test_the_page_is_saved_and_framed(flight, tmp_path):
         flight.save(tmp_path / "swing.png")
 
 
-@pytest.mark.slow  # a browser
+@pytest.mark.prove
 def test_a_notebook_shows_the_arm_and_its_links_stay_in_the_frame(flight, browser, tmp_path):
     notebook = tmp_path / "notebook.html"
     notebook.write_text(f"<!doctype html><meta charset=utf-8><body>{flight._repr_html_()}</body>", encoding="utf-8")

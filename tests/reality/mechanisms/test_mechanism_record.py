@@ -42,14 +42,14 @@ def test_a_servo_nears_its_command_and_the_moved_base_follows_its_path():
 
 
 @pytest.fixture(scope="module")
-def scale():
-    """Return the sizes of the tilt axis, which take half a second to simulate."""
-    return scales_of(ROBOTS["camera"])["tilt"]
+def scales():
+    """Return the sizes of the camera's axes, which take half a second to simulate."""
+    return scales_of(ROBOTS["camera"])
 
 
 @pytest.mark.parametrize("name", [*FAULTS, *UNKNOWNS])
-def test_every_fault_changes_the_recording(name, healthy, scale):
-    laws = {"tilt": (FAULTS | UNKNOWNS)[name].law(JointLaw(), scale, 1.0)}
+def test_every_fault_changes_the_recording(name, healthy, scales):
+    laws = {"tilt": (FAULTS | UNKNOWNS)[name].law(JointLaw(), scales["tilt"], 1.0)}
     faulty = columns("camera", Truth(laws))
     assert np.abs(faulty["q_tilt"] - healthy["q_tilt"]).max() >= 1e-3
 
@@ -109,8 +109,9 @@ def test_a_heavier_body_is_named_with_the_joints_that_move_it(seed):
     assert fault.joints == tuple(ROBOTS["arm"].follows)[: carried[body]]
 
 
-def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
+def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, scales, monkeypatch):
     monkeypatch.setattr(cases, "DURATION_S", 0.3)
+    monkeypatch.setattr(cases, "scales_of", lambda robot: {"camera": scales}[robot.name])
     draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
     assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
         "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",
@@ -118,12 +119,9 @@ def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, monkeypatch):
     causes = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
     assert len({joint for cause in causes for joint in cause["joints"]}) == 2
     assert all(path.split(".")[0] in cause["joints"] for cause in causes for path in cause["sizes"])
-
-
-def test_a_cause_of_the_whole_mechanism_holds_all_its_joints(tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "DURATION_S", 0.3)
-    draw_and_write(tmp_path, "case", seed=1, index=4, category="whole")
-    (cause,) = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
+    # A cause of the whole mechanism holds all its joints.
+    draw_and_write(tmp_path, "whole", seed=1, index=4, category="whole")
+    (cause,) = json.loads((tmp_path / "truths" / "whole.json").read_text())["causes"]
     assert cause["joints"] == ["pan", "tilt"]
     assert cause["names"] in (["tilt"], ["payload"], ["mass_camera", "mass", "payload"])
     assert {path.rpartition(".")[0] for path in cause["sizes"]} == {f"*.{cause['names'][0]}"}

@@ -135,7 +135,7 @@ def test_every_effect_of_the_registry_can_vary():
 
 @pytest.mark.slow
 def test_a_retraining_too_short_to_matter_is_refused_with_the_minimum(tmp_path):
-    short = RetrainingConfig(seconds=0.1, robots=64, validation_trials=12, critic_iterations=1)
+    short = RetrainingConfig(seconds=0.1, robots=16, validation_trials=12, critic_iterations=1)
     with pytest.raises(ValueError, match=r"at least 0\.20 M are needed: give --seconds \d+0 or more"):
         retrain(MODELS / "reach.onnx", Model(), "seed", tmp_path, short, lambda text, share: None)
     assert not (tmp_path / "retrained.onnx").exists()

@@ -19,7 +19,7 @@ velocities, positions = (st.integers(-end, end).map(lambda n: n * STEP) for end 
 states = st.tuples(velocities, positions, velocities)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(states, min_size=1, max_size=6), st.sampled_from([0.0, 0.02, PERIOD_S, 0.05, 0.1]))
 def test_the_guard_sends_the_commands_of_the_daemons_filter(
     steps: list[tuple[float, float, float]], latency_s: float

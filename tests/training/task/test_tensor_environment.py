@@ -17,7 +17,7 @@ ROBOTS = 24
 card = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a graphics card")
 DEVICES = ["cpu", pytest.param("cuda", marks=card)]
 TIP_Y = SEEN[1]
-NOISELESS = replace(TASKS["reach"], action_noise=0.0)
+NOISELESS = replace(TASKS["reach"], action_noise=0.0, episode_steps=50)
 
 
 DIFFERENCED: dict[str, dict[str, float]] = {"observation.finite_difference": {}}
