@@ -54,8 +54,7 @@ def lively_network(order: str = "mlp-lstm", seed: int = 0) -> PolicyNetwork:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Session:
     """Four iterations without a break."""
-    with workers(2) as pool, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(curve, "write_png", lambda rows, path, *_: path.touch())
+    with workers(2) as pool:
         run = session(tmp_path_factory.mktemp("whole"), pool)
         run.run(frames=4 * FRAMES, minutes=None)
     return run
@@ -123,11 +122,12 @@ def test_an_average_forgets_untrained_weights_and_then_moves_slowly():
     assert shares[-1] == pytest.approx(0.025)
 
 
-def test_a_run_writes_its_learning_curve_as_a_table(finished):
+def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):
     with (finished.out / "learning_curve.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [FRAMES * k for k in (1, 2, 3, 4)]
     assert [bool(row["validation"]) for row in rows] == [False, True, False, True]
+    assert (finished.out / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_policy_file_describes_itself_and_reproduces_its_golden_run(finished):
