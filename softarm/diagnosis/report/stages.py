@@ -75,9 +75,11 @@ def _sized(effect: NamedEffect) -> str:
 
 
 def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
-    size = sizes(effect)
+    """Return an effect with its size; for one that stages share, the first of them states the size."""
+    size, (stage, _, law) = sizes(effect), effect.name.rpartition(".")
+    first = next((each for each in stages_of(diagnosis) if each in effect.shared_by), stage)
     if not effect.equivalents:
-        return described(diagnosis, effect)
+        return described(diagnosis, effect) if first == stage else f"the {law} stated for {first}"
     members = [f"{n} ({text})" for n in (effect.name, *effect.equivalents) if (text := meaning(diagnosis, n))]
     text = f"either {listed(members, 'or')}; this data cannot separate them" if members else one_of(effect)
     return f"{text}{f'. For {effect.name}, {size}' if size else ''}"

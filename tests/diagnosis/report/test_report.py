@@ -301,6 +301,9 @@ def test_an_effect_that_stages_share_is_one_cause():
     page = Page(report.render(found)).words
     assert page.count("tilt.payload and pan.payload") == 1
     assert "74 % (70 to 78) of the tilt gap and 74 % (70 to 78) of the pan gap" in page
+    shown = report.paragraphs(found)
+    assert shown["tilt"].startswith("missing in the model: payload of tilt and pan, delay 61 ms (55 to 68).")
+    assert shown["pan"].startswith("missing in the model: the payload stated for tilt; missing in the model: pan.lag")
 
 
 def test_a_set_that_stages_share_names_them_all():
