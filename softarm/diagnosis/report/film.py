@@ -10,20 +10,23 @@ from softarm.reporting.numbers import number
 
 _WIDTH, _HEIGHT, _MARGIN = 460.0, 300.0, 16.0
 _SLOWER = 2.0  # than the motion
+_MEASURED = "film-measured"  # robot that is drawn twice: as wide as a body, and as a line
 _FLAT = 0.05  # height of a motion as a share of its width, up to which it is drawn from above
 
 
 def drawing(film: Film) -> Html:
     """Return a figure with the film and a button that stops it."""
     views = _projected(film)
-    robots = [_robot(kind, lines, film) for kind, lines in views.items()]
+    measured = _robot(views["measured"], film, id=_MEASURED)
+    body, curve = (el("use", href=f"#{_MEASURED}", class_=kind) for kind in ("body", "curve measured"))
+    models = [_robot(views[kind], film, class_=f"curve {kind}") for kind in views if kind != "measured"]
     factor = "" if film.factor == 1 else f"; deviations enlarged {number(film.factor, 3)} times"
     text = f"Links of the mechanism in {film.trial} from {number(film.t_s[0], 3)} s, at half speed{factor}"
     return el(
         "figure",
         el("figcaption", f"{text}. Each joint is simulated alone, and the others move as measured."),
         legend(*views),
-        svg(_WIDTH, _HEIGHT, text, *robots, kind="film"),
+        svg(_WIDTH, _HEIGHT, text, el("defs", measured), body, curve, *models, kind="film"),
         el("button", "stop or play", type="button"),
         class_="film",
     )
@@ -48,7 +51,7 @@ def _projected(film: Film) -> dict[str, Array]:
     return {kind: points * [1, -1] + [0, _HEIGHT] for kind, points in found.items()}
 
 
-def _robot(kind: str, lines: Array, film: Film) -> Html:
+def _robot(lines: Array, film: Film, **attributes: str) -> Html:
     frames = ["".join(path(*line.T) for line in frame) for frame in lines]
     seconds = _SLOWER * len(frames) * float(np.median(np.diff(film.t_s)))
     moving = el(
@@ -59,4 +62,4 @@ def _robot(kind: str, lines: Array, film: Film) -> Html:
         calcMode="discrete",
         repeatCount="indefinite",
     )
-    return el("path", moving, d=frames[0], class_=f"curve {kind}")
+    return el("path", moving, d=frames[0], **attributes)

@@ -49,4 +49,5 @@ def test_the_caption_names_trial_time_and_enlargement():
     html = drawing(Film("run-0", T + 3.0, lines, 20.0))
     assert "run-0 from 3 s, at half speed; deviations enlarged 20 times" in html
     assert [f'class="curve {kind}"' in html for kind in more] == [True] * 3
+    assert re.findall(r'href="#film-measured" class="([^"]*)"', html) == ["body", "curve measured"]
     assert 'dur="4s"' in html
