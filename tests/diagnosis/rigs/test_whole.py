@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.engine.candidates import Nuisance
@@ -179,12 +180,18 @@ def test_a_payload_beside_the_axis_of_the_last_joint_loads_it_as_well(tmp_path):
         record_wrist(WRIST.format(ITEM), tmp_path / f"sines-{seed}.csv", seed)
     commands = dict.fromkeys(("bend_servo", "roll_servo"), "rad")
     measured = dict.fromkeys(("bend", "roll"), "rad")
-    own = read_by_joint(described(tmp_path, "robot.xml", measured=measured, command=commands))
+    stage = described(tmp_path, "robot.xml", measured=measured, command=commands)
+    own = read_by_joint(stage)
     (found,) = judged(own, shown(own, bend=("payload",), roll=("command_bias",)))
     assert [held.named.name for held in found.held.values()] == ["bend.payload", "roll.payload"]
     for held in found.held.values():
         assert held.named.shared_by == ("bend", "roll")
         assert held.named.parameters["mass"].low < ITEM_KG < held.named.parameters["mass"].high
+
+    sizes = {name: size.value for name, size in found.held["roll"].sizes.items()}
+    stage.write_text(stage.read_text() + yaml.safe_dump({"effects": {"roll.payload": sizes}}))
+    with_it, without = (JointView(trials["roll"]).gap([{}]) for trials in (read_by_joint(stage), own))
+    assert np.nanstd(with_it) < 0.3 * np.nanstd(without)
 
 
 def test_one_heavier_body_is_named_at_all_joints_that_it_loads(shank):

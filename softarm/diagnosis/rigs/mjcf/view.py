@@ -126,7 +126,7 @@ class JointView(RigView):
         self.whole = self.whole.union(common, (MASS + part for part in parts))
         like = f"{stage.name}.{self._torques.like_tilt(scales.tilts, scales.follows)}"
         self._like_tilt = like if like in {effect.name for effect in own} else ""
-        given = given_values(stage, own)
+        given = given_values(stage, [*own, *self.together])
         self._known = neutral_values([*own, *self.together]) | self._nominal() | given | {CREEP: 0.0, STEPPED: 0.0}
         bends = self._known["coulomb_friction.torque"] > 0 and "coulomb_friction.give" not in given
         self.curved = self._bends = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
