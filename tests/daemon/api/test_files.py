@@ -122,7 +122,7 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
 ):
     monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
     with (folder / "flight.mcap").open("wb") as file:
-        file.truncate(20_000_000)
+        file.truncate(64_000_000)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         url = f"http://127.0.0.1:{port}/api/logs/flight.mcap"
         with httpx.stream("GET", url, timeout=WAIT_S) as slow:
@@ -130,7 +130,7 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
             refused = httpx.get(url, timeout=WAIT_S)
             assert refused.status_code == 503
             assert "1 downloads are running already" in refused.text
-        until(lambda: len(httpx.get(url, timeout=WAIT_S).content) == 20_000_000)
+        until(lambda: len(httpx.get(url, timeout=WAIT_S).content) == 64_000_000)
     assert not is_open(folder / "flight.mcap")
 
 
