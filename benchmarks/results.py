@@ -151,12 +151,12 @@ def spread(values: Sequence[float]) -> dict[str, float]:
     return {"p50": p50, "p99": p99, "p999": p999, "max": top}
 
 
-def measured() -> str:
+def measured(root: Path = CHECKOUT) -> str:
     """Return the revision of the code under test; changed results and pages do not count as changes."""
-    aside = [":(exclude)docs", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
+    aside = [":(exclude)docs", ":(exclude)*.md", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
     command = ["git", "diff", "--quiet", "HEAD", "--", ".", *aside]
-    same = subprocess.run(command, cwd=CHECKOUT, check=False).returncode == 0
-    return revision(CHECKOUT).removesuffix("+changes") if same else revision(CHECKOUT)
+    same = subprocess.run(command, cwd=root, check=False).returncode == 0
+    return revision(root).removesuffix("+changes") if same else revision(root)
 
 
 def read(name: str) -> dict[str, Any]:

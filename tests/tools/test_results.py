@@ -38,16 +38,32 @@ def test_a_result_states_its_origin(name):
     assert about.get("transcribed", True) is True
 
 
-def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path):
-    def git(*words):
+@pytest.fixture
+def git(tmp_path):
+    """Return git(words) in a new repository whose four commits each changed one of two files."""
+
+    def run(*words):
         who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
         return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
 
-    git("init", "-q")
+    run("init", "-q")
+    (tmp_path / "README.md").write_text("page")
     for number, name in enumerate(("code.py", "other.py", "code.py", "code.py")):
         (tmp_path / name).write_text(str(number))
-        git("add", ".")
-        git("commit", "-qm", name)
+        run("add", ".")
+        run("commit", "-qm", name)
+    return run
+
+
+def test_an_edited_page_is_no_change_of_the_measured_code_but_an_edited_module_is(tmp_path, git):
+    head = git("rev-parse", "HEAD").strip()
+    (tmp_path / "README.md").write_text("another page")
+    assert results.measured(tmp_path) == head
+    (tmp_path / "code.py").write_text("edited")
+    assert results.measured(tmp_path) == f"{head}+changes"
+
+
+def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path, git):
     first = git("rev-list", "--max-parents=0", "HEAD").strip()
     assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
     assert results.age({"revision": first, "depends": ["other.py"]}, tmp_path) == 1
