@@ -8,6 +8,7 @@ from softarm.diagnosis.report.words import (
     HELD_OUT,
     change,
     described,
+    entries,
     interval,
     meaning,
     noise_level,
@@ -75,11 +76,13 @@ def _sized(effect: NamedEffect) -> str:
 
 
 def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
-    """Return an effect with its size; for one that stages share, the first of them states the size."""
-    size, (stage, _, law) = sizes(effect), effect.name.rpartition(".")
-    first = next((each for each in stages_of(diagnosis) if each in effect.shared_by), stage)
+    """Return an effect with its size; of stages that share it, the first states the sizes that all of them have."""
+    size, (first, *_) = sizes(effect), entries(diagnosis, effect)
     if not effect.equivalents:
-        return described(diagnosis, effect) if first == stage else f"the {law} stated for {first}"
+        if first is effect or effect.parameters.keys() - first.parameters.keys():
+            return described(diagnosis, effect)
+        stage, _, law = first.name.rpartition(".")
+        return f"the {law} stated for {stage}"
     members = [f"{n} ({text})" for n in (effect.name, *effect.equivalents) if (text := meaning(diagnosis, n))]
     text = f"either {listed(members, 'or')}; this data cannot separate them" if members else one_of(effect)
     return f"{text}{f'. For {effect.name}, {size}' if size else ''}"

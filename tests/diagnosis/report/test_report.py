@@ -304,6 +304,9 @@ def test_an_effect_that_stages_share_is_one_cause():
     shown = report.paragraphs(found)
     assert shown["tilt"].startswith("missing in the model: payload of tilt and pan, delay 61 ms (55 to 68).")
     assert shown["pan"].startswith("missing in the model: the payload stated for tilt; missing in the model: pan.lag")
+    more = pan.model_copy(update={"parameters": {**pan.parameters, "y": pan.parameters["delay"]}})
+    found = diagnosis(verdict=verdict(effects=(tilt, more, other)), nominal=None, patched=None)
+    assert "payload of tilt and pan, delay 61 ms (55 to 68), y 61 ms" in report.paragraphs(found)["pan"]
 
 
 def test_a_set_that_stages_share_names_them_all():

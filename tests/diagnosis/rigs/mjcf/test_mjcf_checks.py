@@ -116,10 +116,11 @@ def test_a_recording_with_a_constant_torque_hides_no_mistake(tmp_path, noisy):
 
 
 def test_a_column_of_another_joint_is_warned_of(tmp_path, noisy):
+    says = r"hip: by the model, its motion explains \d+ % of the variation of its torque; check that"
     for column in ("cmd", "q"):
         swapped = f"source: {column}_hip", f"source: {column}_ankle"
         (warning,) = view(tmp_path, noisy, "leg", "hip", swapped).assumptions
-        assert re.match(r"hip: by the model, its motion explains \d+ % of the variation of its torque; check", warning)
+        assert re.match(says, warning)
     assert view(tmp_path, noisy, "leg", "hip").assumptions == ()
 
 
