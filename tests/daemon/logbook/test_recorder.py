@@ -167,7 +167,9 @@ def test_a_full_disk_ends_the_log_and_recording_resumes_in_a_new_one(tmp_path, d
     recorder.tick(*flown(1))
     until(lambda: recorder.history.entries, "the event is still reported")
     assert recorder.history.entries[0].text == "disarmed → armed"
-    recorder.policy(PolicySpec("pid", "the seed's gains"))  # taken up while nothing could be written
+    recorder.policy(PolicySpec("pid", "the seed's gains"))
+    recorder.done("log", "deleted an old log", "the bench")
+    until(lambda: len(recorder.history.entries) == 2, "the action, and with it the policy queued before it")
     disk.clear()
     until(lambda: recorder.problem is None, "the new log")
     recorder.tick(*make_tick(2))
