@@ -117,7 +117,7 @@ def _doubtful(
     """
     if t.approximate:
         return tuple(effect for effect in selected if effect.candidate.name in evidence.unresolved)
-    most = t.cause.constant_max
+    most = t.cause.beside_rest_max
     return tuple(effect for effect in selected if effect.strongest in unnamed and _varies(effect, choice, most))
 
 
@@ -139,7 +139,7 @@ def is_cause(effect: SelectedEffect, choice: Choice, rest: Remainder, t: Thresho
         return False
     scatter, drift = choice.chosen.scatter(i), choice.chosen.drift(i)
     chance = t.cause.chance / max(energy, 1e-6) ** 0.5
-    if effect.candidate.constant and _varies(effect, choice, t.cause.constant_max + chance):
+    if effect.candidate.constant and _varies(effect, choice, t.cause.constant_max):
         return False
     steady = scatter <= t.cause.scatter_max + chance and drift <= 2 * t.cause.scatter_max + chance
     at_floor = choice.energies[1][stage] <= 1.0 + min(t.cause.floor_share * rest.removed[stage], t.cause.floor_most)

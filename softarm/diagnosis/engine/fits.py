@@ -51,7 +51,8 @@ class Fit:
     loss: float  # weighted squares of the whitened residual
     held_out: Array  # [B] loss of each block, from a fit without the block's fold
     folds: Array  # [F, p] coordinates from a fit without each fold
-    halves: Array  # [2, p] coordinates from the first and from the second half of every trial
+    # [F + 2, p] coordinates without each fold, then from each half of every trial, next to the nuisances of all data.
+    apart: Array
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -83,13 +84,13 @@ class Fit:
         It is small for a true effect. A law that only resembles the true one needs another strength in each fold.
         """
         at, change = self._strongest(i)
-        values = self.folds[:, at]
+        values = self.apart[:-2, at]
         return float(np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2)) / change)
 
     def drift(self, i: int) -> float:
         """Return the difference of an effect's strength between the trials' halves, relative to its change."""
         at, change = self._strongest(i)
-        early, late = self.halves[:, at]
+        early, late = self.apart[-2:, at]
         return float(abs(late - early) / change)
 
     def _strongest(self, i: int) -> tuple[int, float]:
@@ -286,11 +287,6 @@ class FitProblem:
         if self.simulated:
             sums = BlockSums(self.whitened, self.blocks)
             lost = simulated_losses(sums, self.fold, self.nuisance_box(effects), effects, x, np.array(folds))
-        late = self._late()
-        halves = []
-        for part in (~late, late):
-            y = box.solve(normal[part].sum(axis=0), -slope[part].sum(axis=0), low, high)
-            halves.append(x + y[: len(x)])
         nuisance = best[len(x) :]
         return Fit(
             effects,
@@ -299,8 +295,21 @@ class FitProblem:
             loss - _cost(effects, x) - self.edge_cost * float(nuisance @ nuisance),  # without the priors
             lost,
             np.array(folds),
-            np.array(halves),
+            self._apart(x, nuisance, normal, slope, low, high),
         )
+
+    def _apart(self, x: Array, nuisance: Array, normal: Array, slope: Array, low: Array, high: Array) -> Array:
+        """Return the coordinates [F + 2, p] from parts of the data, by the matrices and slopes of the blocks.
+
+        A nuisance is as constant as the strength. Fitted to each part, the two would trade within its tolerance.
+        """
+        p, late = len(x), self._late()
+        found = []
+        for part in (*(self.fold != fold for fold in np.unique(self.fold)), ~late, late):
+            matrix, pull = normal[part, :p].sum(axis=0), slope[part, :p].sum(axis=0)
+            own, moved = np.ascontiguousarray(matrix[:, :p]), matrix[:, p:] @ nuisance
+            found.append(x + box.solve(own, -(pull + moved), low[:p], high[:p]))
+        return np.array(found)
 
     def part(self, fit: Fit, kept: Sequence[int]) -> Fit:
         """Return a fit with some of its effects, which keep their values; the nuisances are fitted again."""
@@ -313,7 +322,7 @@ class FitProblem:
         loss, w = fit_nuisances(sum(m.rr for m in moments), gr, gg, limits)
         folds, sums = fit.folds[:, mine], BlockSums(self.whitened, self.blocks)
         lost = simulated_losses(sums, self.fold, limits, effects, joined(u), folds)
-        return Fit(effects, u, w, loss, lost, folds, fit.halves[:, mine])
+        return Fit(effects, u, w, loss, lost, folds, fit.apart[:, mine])
 
     def linear(self, fit: Fit) -> tuple[Array, Array, Array, Array]:
         """Return a fit's linearisation: normal matrices [B, n, n] and slopes [B, n] of the blocks, low and high [n].

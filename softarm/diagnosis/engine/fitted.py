@@ -82,7 +82,7 @@ class FittedChoice:
             u=(tuple(values),) if fixed else (),
             nuisance=0 * null_model.nuisance,
             folds=np.tile(values, (folds, 1)),
-            halves=np.tile(values, (2, 1)),
+            apart=np.tile(values, (folds + 2, 1)),
         )
 
     def interval(self, fit: Fit) -> tuple[Array, Array]:

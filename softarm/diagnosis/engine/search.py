@@ -266,8 +266,7 @@ class Search:
 
     def _is_visible(self, gain: Gain, stage: str) -> bool:
         t, share, energy = self.thresholds.gain, gain.shares[stage], gain.energies[stage]
-        clearly = any(share > s and energy > e and gain.low > low for s, e, low in t.visible)
-        clearly = clearly or (gain.value > t.resolved_min and share > SHARE_MIN)
+        clearly = t.is_visible(share, energy, gain.low) or (gain.value > t.resolved_min and share > SHARE_MIN)
         return clearly and (share > t.further_share or energy > t.further_min * self._first.get(stage, 0.0))
 
     def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:

@@ -101,7 +101,9 @@ def slow_changes(setup: Setup, search: Search, fit: Fit) -> dict[str, Structure]
     tolerated = slow.nuisance and 2 * abs(moved[-1]) < 1  # from the start to the end less than the edge of a box
     # Next to a large rest, a slow change of an approximate law may stand in for any other error of the law.
     least = max(rule.ignored, rule.further_share * left) if search.thresholds.approximate else rule.ignored
-    if tolerated or gain.value <= rule.loss_min or gain.low <= 0 or left - rest <= least:
+    if tolerated or gain.value <= rule.loss_min or left - rest <= least:
+        return {}
+    if not rule.is_visible(1 - rest / left, left - rest, gain.low):
         return {}
     return {stage: Structure(left - rest, _in_words(setup, fit, slow, moved))}
 

@@ -95,7 +95,7 @@ def test_a_law_with_jumps_moves_no_further_than_its_reach():
     fit = _problem(_View()).fit([((near,), ((0.0,),))], 2)[0]
     assert fit.u[0][0] == pytest.approx(0.05)
     assert fit.folds.max() <= 0.1 + 1e-12
-    assert fit.halves.max() <= 0.1 + 1e-12
+    assert fit.apart.max() <= 0.1 + 1e-12
 
 
 @pytest.mark.parametrize("nudge", [NUDGE, COARSE, 30.0])
@@ -224,6 +224,16 @@ def test_a_strength_that_changes_from_kind_to_kind_scatters():
         view.measured[view.trial == trial] *= (1 + share) / 1.3
     assert steady < 0.05
     assert _fit(_problem(view), GAIN).scatter(0) > 5 * steady
+
+
+def test_parts_of_the_data_do_not_trade_a_strength_for_a_tolerance():
+    """A load within its box resembles the gain; the strength varies as if there were none."""
+    view = _Loaded(truth={SCALE: 0.3})
+    steady = _fit(_problem(view), GAIN)
+    loaded = _problem(view, (Nuisance(LOAD, 0.0, -0.2, 0.2), ZERO))
+    fit = _fit(dataclasses.replace(loaded, edge_cost=EDGE_COST), GAIN)
+    assert fit.drift(0) == pytest.approx(steady.drift(0), abs=0.01)
+    assert fit.scatter(0) == pytest.approx(steady.scatter(0), abs=0.01)
 
 
 def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear():

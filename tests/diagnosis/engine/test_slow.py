@@ -90,6 +90,11 @@ def test_a_change_within_the_tolerance_is_tolerated():
     assert examined(within=0.12).slow != {}
 
 
+def test_a_slow_change_that_is_no_visible_part_of_the_rest_belongs_to_the_form_of_the_law():
+    assert examined(within=0.5, hum=0.5).slow != {}
+    assert examined(within=0.2, hum=0.6).slow == {}
+
+
 def test_next_to_a_large_rest_a_small_slow_change_of_an_approximate_law_does_not_count():
     assert examined(RIG, within=-0.5).slow != {}
     assert examined(RIG, within=-0.5, hum=0.5).slow == {}

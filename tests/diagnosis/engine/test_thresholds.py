@@ -24,7 +24,7 @@ def fit(*effects, scatter=0.0, drift=0.0, loss=0.0):
     spread = scatter * np.sqrt(3 / 4)  # jackknife error of three folds
     folds = np.outer([1 - spread, 1.0, 1 + spread], np.ones(len(effects)))
     halves = np.outer([1 - drift / 2, 1 + drift / 2], np.ones(len(effects)))
-    return Fit(effects, u, np.zeros(0), 0.0, np.array([loss]), folds, halves)
+    return Fit(effects, u, np.zeros(0), 0.0, np.array([loss]), folds, np.concatenate((folds, halves)))
 
 
 def choice(before, after, effect=None, explained=0.0, scatter=0.0, drift=0.0):
@@ -105,6 +105,12 @@ def answered(t, explained):
     return decide(replace(found, energies=energies), Evidence({"rail": 1.0}), t).kind
 
 
+def beside_a_rest(t, scatter):
+    """Return the verdict on an effect in a stage with a structure that nothing explains."""
+    found = choice(1e6, 1e4, PAYLOAD, 1e6, scatter=scatter)
+    return decide(found, Evidence(signs={"arm": Structure(1e4, "near a reversal")}), t).kind
+
+
 def swinging(t, after):
     """Return the verdict on a swing with large linearisation errors."""
     return kind(t, 3000.0 + after, after, 0.0, 3000.0, bent={"arm": 1e9})
@@ -130,7 +136,8 @@ PROBES = {
     "cause.explained_over": (RIG, lambda t, x: named(t, 1000.0, x), 71.0, 91.0),
     "cause.scatter_max": (ROBOT, lambda t, x: named(t, 1e6, 1e4, scatter=x), 0.045, 0.085),
     "cause.chance": (ROBOT, lambda t, x: named(t, 5.0, 1.1, scatter=x), 0.09, 0.14),
-    "cause.constant_max": (ROBOT, lambda t, x: named(t, 1e6, 1e4, effect=CONSTANT, scatter=x), 0.03, 0.055),
+    "cause.constant_max": (ROBOT, lambda t, x: named(t, 1e6, 1e4, effect=CONSTANT, drift=x), 0.055, 0.1),
+    "cause.beside_rest_max": (ROBOT, beside_a_rest, 0.03, 0.055),
     "gap.unknown_min": (ROBOT, lambda t, x: kind(t, x, x), 1.35, 1.7),
     "gap.random_share": (ROBOT, lambda t, x: kind(t, x, x, 0.0), 1.7, 2.5),
     "gap.structure_min": (ROBOT, lambda t, x: kind(t, 0.9, 0.9, **structure(x)), 0.7, 1.4),
