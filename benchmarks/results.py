@@ -93,7 +93,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
         "validation/closing.py",
     ),
     "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
-    "detection": _BLIND,
+    "detection": (*_BLIND, "validation/detection.py"),
     "faults": (*_FLIGHTS, *_REALITY),
     "grid": _FLIGHTS,
     "limits": ("softarm/daemon/limits", "softarm/simulator", *_REALITY, *_ADVERSARY, "validation/limits.py"),

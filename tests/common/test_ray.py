@@ -13,11 +13,11 @@ from softarm.common.batch import Workers
 from softarm.diagnosis import many
 from softarm.evaluation import entries, table
 from softarm.policies.base import MODELS
-from softarm.reality.rigs.case import case_of
-from softarm.reality.rigs.record import write
 from softarm.simulator import model_file
 from softarm.training.run import sweep
 from tests.ray_instance import WITH_RAY, apart
+from validation.rigs.case import case_of
+from validation.rigs.record import write
 
 # The nodes start for half a minute; test_batch.py proves the same with a stand-in for Ray.
 pytestmark = [pytest.mark.prove, pytest.mark.timeout(1800), WITH_RAY]

@@ -1,18 +1,18 @@
 """Drawing of the benchmark's cases: kinds in fixed shares, causes in turn, random robots and trials."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
 from softarm.reality.parameters import RobotParameters
-from softarm.reality.rigs.case import apportioned, in_turn
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
 
+T = TypeVar("T")
 Kind = Literal["single", "two", "three", "none", "unknown"]
 SHARES: dict[Kind, float] = {"single": 0.40, "two": 0.14, "three": 0.06, "none": 0.20, "unknown": 0.20}
 _TOGETHER: dict[Kind, int] = {"two": 2, "three": 3}
@@ -105,6 +105,23 @@ def _plan(count: int, random: np.random.Generator) -> Iterator[Wanted]:
         yield "none", ()
     for _ in range(wanted["unknown"]):
         yield "unknown", ((next(unknowns), False),)
+
+
+def apportioned(shares: Mapping[T, float], count: int) -> dict[T, int]:
+    """Return whole numbers in proportion to shares that add up to a count, rounded by the largest remainders."""
+    total = sum(shares.values())
+    exact = {each: share / total * count for each, share in shares.items()}
+    whole = {each: int(x) for each, x in exact.items()}
+    for each in sorted(exact, key=lambda each: whole[each] - exact[each])[: count - sum(whole.values())]:
+        whole[each] += 1
+    return whole
+
+
+def in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
+    """Yield all items in random order, again and again."""
+    while True:
+        for index in random.permutation(len(items)):
+            yield items[index]
 
 
 def _apart(causes: Iterator[tuple[str, bool]], together: int) -> tuple[tuple[str, bool], ...]:

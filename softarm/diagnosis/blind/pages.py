@@ -1,11 +1,10 @@
 """Markdown tables and reliability diagram of a score."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from softarm.diagnosis.blind.imperfections import UNKNOWN, UNKNOWNS, ranges
-from softarm.diagnosis.blind.score import OUTCOMES, ScoredRig
 from softarm.reporting.colours import LIGHT
 
 
@@ -16,7 +15,7 @@ def markdown(result: Mapping[str, Any]) -> str:
 
 
 def detection(found: Mapping[str, Any]) -> str:
-    """Return the table of detection limits, from the figures of `detection.measure`."""
+    """Return the table of detection limits, from the figures of `validation.detection`."""
     lines = ["| cause | drawn | found in 90 % from | share of the weakest drawn |", "|---|---|---|---|"]
     for row in found["causes"]:
         limit = "- | -" if row["share"] is None else f"{row['found']:.3g} | {row['share']:.2f}"
@@ -76,32 +75,6 @@ def _share(cell: Mapping[str, Any]) -> str:
 
 def _number(value: float | None, how: str) -> str:
     return "-" if value is None else format(value, how)
-
-
-def rig_table(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the counts as a Markdown table; `sure` counts confident answers among wrong and picked ones.
-
-    `sizes held` counts the true sizes within their 95 % intervals.
-    """
-    columns = ("cases", *OUTCOMES, "sure")
-    lines = [f"| | {' | '.join(columns)} | sizes held | s (median, worst) |", "|---" * (len(columns) + 3) + "|"]
-    for name, row in found.items():
-        counts = " | ".join(str(row[c] or "") for c in columns)
-        sizes = f"{row['sizes held']} of {row['sizes']}" if row["sizes"] else ""
-        lines.append(f"| {name} | {counts} | {sizes} | {row['seconds_median']:.0f}, {row['seconds_worst']:.0f} |")
-    return "\n".join(lines)
-
-
-def rig_answers(scored: Sequence[ScoredRig]) -> str:
-    """Return one line for each wrong, picked or failed answer."""
-    lines = []
-    for s in sorted(scored, key=lambda s: (OUTCOMES.index(s.outcome), s.rig, s.faults)):
-        if s.outcome in ("wrong", "picked", "failed"):
-            named = "; ".join(" or ".join(group) for group in s.named) or s.verdict
-            sure = ", sure" if s.sure else ""
-            truth = " + ".join(s.faults) or "nothing"
-            lines.append(f"{s.outcome}{sure}: {s.rig} ({s.category}, {s.case}): {truth}; answer {s.verdict}: {named}")
-    return "\n".join(lines)
 
 
 def reliability(calibration: Mapping[str, Any], title: str, file: Path) -> None:

@@ -1,7 +1,7 @@
 """Confidence of an answer, from the share of correct answers among blind cases with known causes.
 
 `confidence.json` holds the counts for the robot and for rigs, for a single name and for a set, by margin; it is written
-by `softarm.diagnosis.blind.curve`. An answer with fewer than `CASES_LEAST` cases has no confidence.
+by `validation.confidence`. An answer with fewer than `CASES_LEAST` cases has no confidence.
 """
 
 import json

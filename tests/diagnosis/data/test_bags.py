@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from softarm.cli.main import main
 from softarm.diagnosis.data import bags, tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.mechanisms.record import ROBOTS
 from softarm.recordings.live import LIBRARY
+from validation.mechanisms.record import ROBOTS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 START_NS = 1_764_000_000_000_000_000

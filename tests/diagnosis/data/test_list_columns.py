@@ -9,7 +9,7 @@ from pyarrow import parquet
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.mechanisms.record import ROBOTS
+from validation.mechanisms.record import ROBOTS
 
 STAGE = """
 kind: mujoco

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.diagnosis.describe.joints import ModelJoint
-from softarm.reality.mechanisms.record import ROBOTS, Truth, record
+from validation.mechanisms.record import ROBOTS, Truth, record
 
 
 @pytest.fixture(scope="module")

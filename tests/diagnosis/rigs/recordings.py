@@ -11,8 +11,8 @@ import yaml
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.diagnose import diagnose_table
-from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import ROBOTS, record, write
+from validation.mechanisms.cases import stage_text
+from validation.mechanisms.record import ROBOTS, record, write
 
 MECHANISM_KINDS = ("multisine", "holds", "multisine")
 

@@ -20,9 +20,9 @@ from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import examine
 from softarm.diagnosis.rigs.subsample import together
 from softarm.diagnosis.rigs.whole import FEW, judged
-from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth
 from softarm.schemas.verdict import Interval
 from tests.diagnosis.rigs.recordings import described, mechanism
+from validation.mechanisms.record import ROBOTS, JointLaw, Truth
 
 LOAD = 0.6  # share of the last body's mass
 ITEM_KG = 0.5

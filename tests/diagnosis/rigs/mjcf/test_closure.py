@@ -7,7 +7,7 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.reality.mechanisms.record import MODELS
+from validation.mechanisms.record import MODELS
 
 STEP_S = 2e-4
 # A gripper whose fingers a tendon moves and an equality couples.

@@ -19,11 +19,11 @@ from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.settling import settled
 from softarm.diagnosis.rigs.stage import Finding, examine, is_rated, view_of
 from softarm.diagnosis.rigs.subsample import cut
-from softarm.reality.mechanisms.record import JointLaw, Truth
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
 from tests.diagnosis.rigs.mjcf.test_joint_law import HARD
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO as SERVO_MODEL
 from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, described, mechanism, shipped
+from validation.mechanisms.record import JointLaw, Truth
 
 GROUND = '<geom type="plane" size="2 2 0.1" pos="0.1 0 0" euler="0 -90 0"/>'
 CREEPING = """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.reality.mechanisms.record import ROBOTS
+from validation.mechanisms.record import ROBOTS
 
 MASS = '<inertial pos="0 0 -0.1" mass="{kg}" diaginertia="1e-3 1e-3 1e-3"/>'
 

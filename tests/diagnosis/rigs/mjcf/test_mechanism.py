@@ -11,7 +11,7 @@ from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.loads import powers
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.reality.mechanisms.record import ROBOTS
+from validation.mechanisms.record import ROBOTS
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
 

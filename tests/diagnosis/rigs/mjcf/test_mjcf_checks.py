@@ -12,8 +12,8 @@ from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes, 
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from softarm.diagnosis.rigs.stage import view_of
-from softarm.reality.mechanisms.cases import stage_text
-from softarm.reality.mechanisms.record import ROBOTS, Truth, record, write
+from validation.mechanisms.cases import stage_text
+from validation.mechanisms.record import ROBOTS, Truth, record, write
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.verdicts import with_parameters as verdict
+from validation.mechanisms.record import ROBOTS
 
 ARM = ROBOTS["arm"].model
 

@@ -11,7 +11,7 @@ from softarm.diagnosis.rigs.grid import grid
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.motion import differences, smoothed
-from softarm.reality.mechanisms.record import MODELS
+from validation.mechanisms.record import MODELS
 
 POSE = ("hull_x", "hull_y", "hull_z", "hull_qw", "hull_qx", "hull_qy", "hull_qz")
 STEP_S = 1e-4

@@ -7,9 +7,9 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
-from softarm.reality.mechanisms.record import ROBOTS
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, of_mujoco, travelled
 from tests.diagnosis.verdicts import effect, verdict, with_parameters
+from validation.mechanisms.record import ROBOTS
 
 STEPS = 500
 COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 1.3 * H * np.arange(STEPS)))

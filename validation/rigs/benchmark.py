@@ -1,12 +1,12 @@
 """Benchmark of the diagnosis on simulated rigs with known causes: make, answer and score cases.
 
-    python -m softarm.diagnosis.blind.rigs make FOLDER --cases 60 --seed 1 --kind tracking --kind pendulum
-    python -m softarm.diagnosis.blind.rigs run FOLDER
-    python -m softarm.diagnosis.blind.rigs score FOLDER
-    python -m softarm.diagnosis.blind.rigs one FOLDER servo dead_time --strength 0.5
+    python -m validation.rigs.benchmark make FOLDER --cases 60 --seed 1 --kind tracking --kind pendulum
+    python -m validation.rigs.benchmark run FOLDER
+    python -m validation.rigs.benchmark score FOLDER
+    python -m validation.rigs.benchmark one FOLDER servo dead_time --strength 0.5
 
 FOLDER/data contains the inputs of the diagnosis, FOLDER/truths the causes and FOLDER/answers the verdicts. Rigs, laws
-and faults are those of `softarm.reality.rigs`; `score.py` defines the outcomes.
+and faults are those of this package; `score.py` defines the outcomes.
 """
 
 import argparse
@@ -23,12 +23,12 @@ from softarm.common.batch import JobsFailed, Kept, Work, Workers
 from softarm.common.cluster import ClusterError
 from softarm.common.files import sha256_of
 from softarm.common.processes import cores
-from softarm.diagnosis.blind import pages, seal
-from softarm.diagnosis.blind.score import rig_counts, score_rig
+from softarm.diagnosis.blind import seal
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.rigs.case import CATEGORIES, RigCase, case_of, draw
-from softarm.reality.rigs.presets import Kind
-from softarm.reality.rigs.record import write
+from validation.rigs.case import CATEGORIES, RigCase, case_of, draw
+from validation.rigs.presets import Kind
+from validation.rigs.record import write
+from validation.rigs.score import counts, score, table, wrong_lines
 
 
 def make(cases: Sequence[RigCase], folder: Path, workers: Workers | None = None) -> None:
@@ -83,7 +83,7 @@ def _json(file: Path) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line (`python -m softarm.diagnosis.blind.rigs --help`)."""
+    """Run the command line (`python -m validation.rigs.benchmark --help`)."""
     given = _parser().parse_args(arguments)
     folder: Path = given.folder
     try:
@@ -106,13 +106,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _print(folder: Path) -> None:
     cases = list(answered(folder))
-    scored = [score_rig(truth, reply) for truth, reply in cases if reply is not None]
+    scored = [score(truth, reply) for truth, reply in cases if reply is not None]
     if not scored:
         raise TrialError(f"{folder}: contains no answers; use `run` first")
-    found = rig_counts(scored)
+    found = counts(scored)
     text = json.dumps({"shares": found, "cases": [asdict(each) for each in scored]}, indent=1)
     (folder / "score.json").write_text(text + "\n", encoding="utf-8")
-    print(pages.rig_table(found), pages.rig_answers(scored), sep="\n\n")
+    print(table(found), wrong_lines(scored), sep="\n\n")
     if unanswered := [truth["case"] for truth, reply in cases if reply is None]:
         print(f"\nnot answered: {', '.join(unanswered)}")
 
@@ -124,14 +124,14 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m softarm.diagnosis.blind.rigs", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog=f"python -m {__spec__.name}", description=__doc__.split("\n")[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     made = verbs.add_parser("make", help="draw cases and record them")
     made.add_argument("folder", type=Path)
     made.add_argument("--cases", type=int, default=60)
     made.add_argument("--kind", action="append", choices=get_args(Kind), help="may be repeated; all by default")
     made.add_argument("--category", action="append", choices=CATEGORIES, help="may be repeated; all by default")
-    one = verbs.add_parser("one", help="record a rig with chosen faults (reality/rigs/faults.py)")
+    one = verbs.add_parser("one", help="record a rig with chosen faults (validation/rigs/faults.py)")
     one.add_argument("folder", type=Path)
     one.add_argument("rig")
     one.add_argument("fault", nargs="*")

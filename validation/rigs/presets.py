@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from softarm.reality.rigs.laws import GRAVITY_M_S2
+from validation.rigs.laws import GRAVITY_M_S2
 
 Plant = Literal["velocity axis", "position axis", "chamber", "cart", "pendulum", "arm", "cart-pendulum"]
 Kind = Literal["tracking", "driven_mass", "pendulum", "chain"]

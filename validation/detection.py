@@ -1,4 +1,4 @@
-"""Detection limit of every cause of the blind benchmark: `python -m softarm.diagnosis.blind.detection FOLDER`.
+"""Detection limit of every cause of the blind benchmark: `python -m validation.detection FOLDER`.
 
 Robots with nuisances get one cause each, with strengths around the benchmark's weakest. The limit is the strength from
 which 90 % of the answers are right. Healthy robots count the names that are given by chance. Nothing is sealed.

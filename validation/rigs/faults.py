@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from softarm.reality.rigs.follower import INNER_SHARE
-from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
+from validation.rigs.follower import INNER_SHARE
+from validation.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
 
 Patch = Mapping[str, float | tuple[float, ...]]
 

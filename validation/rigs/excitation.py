@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from softarm.reality.rigs.laws import Array
+from validation.rigs.laws import Array
 
 Shape = Callable[[Array, float, float, np.random.Generator], Array]
 HOLD_MIN_S = 0.25

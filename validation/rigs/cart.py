@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, grown, lanes_of, worn
+from validation.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, grown, lanes_of, worn
 
 # Share of the mass behind the spring.
 LOAD_SHARE = 0.35

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from softarm.reality.rigs.presets import RIGS, Kind, Rig, mass_of
-from softarm.reality.rigs.record import nominal
 from softarm.schemas.verdict import Estimate
+from validation.rigs.presets import RIGS, Kind, Rig, mass_of
+from validation.rigs.record import nominal
 
 # Setting of a fault -> effect.parameter of the diagnosis.
 _CHAIN: Final[Mapping[str, str]] = {

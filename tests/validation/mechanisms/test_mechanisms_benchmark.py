@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softarm.diagnosis.blind import mechanisms
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.reality.mechanisms.cases import WHOLE
-from softarm.reality.mechanisms.record import ROBOTS, Truth
+from validation.mechanisms import benchmark
+from validation.mechanisms.cases import WHOLE
+from validation.mechanisms.record import ROBOTS, Truth
 
 FRICTION = {"joints": ["elbow"], "fault": "friction", "names": ["coulomb_friction"]}
 LATE = {"joints": ["wrist"], "fault": "late", "names": ["dead_time", "latency"]}
@@ -48,13 +48,13 @@ def answer(*groups, verdict="named", stage="elbow", tuned=()):
     ],
 )
 def test_an_answer_is_scored_by_joint_and_name(causes, reply, said):
-    assert mechanisms.outcome({"causes": causes}, reply) == said
+    assert benchmark.outcome({"causes": causes}, reply) == said
 
 
 def test_the_right_joint_is_the_one_with_a_known_cause():
-    assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["elbow.damping"])) is True
-    assert mechanisms.joint_right({"causes": [FRICTION]}, answer(["wrist.damping"], stage="wrist")) is False
-    assert mechanisms.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None
+    assert benchmark.joint_right({"causes": [FRICTION]}, answer(["elbow.damping"])) is True
+    assert benchmark.joint_right({"causes": [FRICTION]}, answer(["wrist.damping"], stage="wrist")) is False
+    assert benchmark.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None
 
 
 @pytest.mark.parametrize(("low", "held"), [(0.2, [True]), (0.35, [False])])
@@ -64,8 +64,8 @@ def test_an_interval_is_compared_with_the_true_size(low, held):
     for effect, parameters in zip(reply["verdict"]["effects"], sizes, strict=True):
         effect["parameters"] = parameters
     truth = {"causes": [FRICTION | {"sizes": {"elbow.coulomb_friction.torque": 0.3}}]}
-    assert [*mechanisms.intervals(truth, reply).values()] == held
-    assert mechanisms.intervals(truth, {"verdict": None}) == {}
+    assert [*benchmark.intervals(truth, reply).values()] == held
+    assert benchmark.intervals(truth, {"verdict": None}) == {}
 
 
 @pytest.mark.parametrize(("low", "held"), [(0.2, True), (0.35, False)])
@@ -74,7 +74,7 @@ def test_a_size_that_joints_share_counts_once(low, held):
     for effect in reply["verdict"]["effects"]:
         effect["parameters"] = {"mass": {"low": low, "high": 0.4}}
     truth = {"causes": [{"sizes": {"*.payload.mass": 0.3, "*.tilt.x": 0.1}}]}
-    assert mechanisms.intervals(truth, reply) == {"*.payload.mass": held}
+    assert benchmark.intervals(truth, reply) == {"*.payload.mass": held}
 
 
 def test_the_true_tilt_is_the_angle_that_a_diagnosis_names():
@@ -87,7 +87,7 @@ def test_the_true_tilt_is_the_angle_that_a_diagnosis_names():
 
 def test_all_cases_may_be_of_one_category(tmp_path, monkeypatch, capsys):
     drawn = []
-    monkeypatch.setattr(mechanisms, "draw_and_write", lambda *case: drawn.append(case[1:]))
-    mechanisms.main(["make", str(tmp_path), "--cases", "3", "--seed", "5", "--category", "whole", "--workers", "1"])
+    monkeypatch.setattr(benchmark, "draw_and_write", lambda *case: drawn.append(case[1:]))
+    benchmark.main(["make", str(tmp_path), "--cases", "3", "--seed", "5", "--category", "whole", "--workers", "1"])
     assert drawn == [(f"mechanism-5-00{i}", 5, i, "whole") for i in range(3)]
     assert "3 cases recorded" in capsys.readouterr().out

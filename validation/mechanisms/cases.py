@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softarm.reality.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, actuator_of, record, write
+from validation.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, actuator_of, record, write
 
 TRIALS = ("multisine", "holds", "multisine")
 DURATION_S = 20.0

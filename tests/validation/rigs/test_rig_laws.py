@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softarm.reality.rigs.cart import SPRING_ZETA, Controller, cart
-from softarm.reality.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
-from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, held, orifice
-from softarm.reality.rigs.links import Links, swing
+from validation.rigs.cart import SPRING_ZETA, Controller, cart
+from validation.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
+from validation.rigs.laws import Bristles, Loops, Play, arrivals, coloured, held, orifice
+from validation.rigs.links import Links, swing
 
 ONE = np.zeros(1)
 

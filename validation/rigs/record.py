@@ -16,13 +16,13 @@ import yaml
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from softarm.reality.rigs import excitation
-from softarm.reality.rigs.cart import Controller, cart
-from softarm.reality.rigs.case import RigCase
-from softarm.reality.rigs.follower import DEFAULTS, INNER_SHARE, axis, chamber
-from softarm.reality.rigs.laws import Array, arrivals, coloured, held
-from softarm.reality.rigs.links import swing
-from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
+from validation.rigs import excitation
+from validation.rigs.cart import Controller, cart
+from validation.rigs.case import RigCase
+from validation.rigs.follower import DEFAULTS, INNER_SHARE, axis, chamber
+from validation.rigs.laws import Array, arrivals, coloured, held
+from validation.rigs.links import swing
+from validation.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
 
 Lane = dict[str, float | tuple[float, ...]]
 # Time between the starts of two trials.

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from softarm.common.batch import Workers
-from softarm.diagnosis.blind import rig_sizes, rigs
-from softarm.diagnosis.blind.score import WEAK, score_rig
-from softarm.reality.rigs.case import case_of
+from validation.rigs import benchmark, sizes
+from validation.rigs.case import case_of
+from validation.rigs.score import WEAK, score
 
 
 def cause(names, tied=(), must=(), near=(), also=(), fault="x"):
@@ -70,21 +70,21 @@ OUTSIDE = cause([], near=["backlash"])
     ],
 )  # fmt: skip
 def test_an_answer_has_its_outcome(causes, answer, outcome):
-    assert score_rig(truth(*causes), answer).outcome == outcome
+    assert score(truth(*causes), answer).outcome == outcome
 
 
 def test_wrong_names_count_as_confident_and_weak_faults_are_counted_apart():
-    assert score_rig(truth(LATE), reply("named", ["lag"])).sure
-    assert score_rig(truth(LATE), reply("named", ["lag"], confidence=None)).sure
-    assert not score_rig(truth(LATE), reply("named", ["lag"], confidence=0.5)).sure
-    assert not score_rig(truth(LATE), reply("named", ["dead_time"])).sure
-    assert score_rig(truth(LATE, clarity=1.0), reply("none")).category == WEAK
-    assert score_rig(truth(category="none", clarity=float("inf")), reply("none")).category == "none"
+    assert score(truth(LATE), reply("named", ["lag"])).sure
+    assert score(truth(LATE), reply("named", ["lag"], confidence=None)).sure
+    assert not score(truth(LATE), reply("named", ["lag"], confidence=0.5)).sure
+    assert not score(truth(LATE), reply("named", ["dead_time"])).sure
+    assert score(truth(LATE, clarity=1.0), reply("none")).category == WEAK
+    assert score(truth(category="none", clarity=float("inf")), reply("none")).category == "none"
 
 
 @pytest.mark.slow
 def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monkeypatch, capsys):
-    rigs.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, Workers(1))
+    benchmark.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, Workers(1))
     asked = []
 
     def answer(case):
@@ -92,15 +92,15 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
         assert "truths" not in {path.name for path in case.parent.iterdir()}
         return reply("named", ["dead_time"])
 
-    monkeypatch.setattr(rigs, "answer", answer)
+    monkeypatch.setattr(benchmark, "answer", answer)
     for _ in range(2):
-        rigs.main(["run", str(tmp_path), "--workers", "1"])
+        benchmark.main(["run", str(tmp_path), "--workers", "1"])
     assert asked == [tmp_path / "data" / "servo-dead_time"]
     stage = asked[0] / "stage.yaml"
     stage.write_text(stage.read_text() + "\n")
-    rigs.main(["run", str(tmp_path), "--workers", "1"])
+    benchmark.main(["run", str(tmp_path), "--workers", "1"])
     assert len(asked) == 2
-    rigs.main(["score", str(tmp_path)])
+    benchmark.main(["score", str(tmp_path)])
     assert "| all | 1 | 1 |" in capsys.readouterr().out
     assert json.loads((tmp_path / "score.json").read_text())["cases"][0]["outcome"] == "right"
 
@@ -118,7 +118,7 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
 )
 def test_a_true_size_is_compared_in_the_owners_units(rig, fault, path, unit, worth, offset):
     case = case_of(rig, [fault], seed=3)
-    true = rig_sizes.true_sizes(case.truth)[path]
+    true = sizes.true_sizes(case.truth)[path]
     (given,) = case.causes[0].settings.values() if fault != "payload" else [case.causes[0].settings["payload_kg"]]
     assert (true > given) if offset else (true == given)
     effect, _, name = path.partition(".")
@@ -128,6 +128,6 @@ def test_a_true_size_is_compared_in_the_owners_units(rig, fault, path, unit, wor
         return {"verdict": {"effects": [{"name": f"{rig}.{effect}", "parameters": {name: ends}}]}}
 
     around = sorted((0.9 * true / worth, 1.1 * true / worth))
-    assert rig_sizes.held(case.truth, answer(*around)) == {path: True}
-    assert rig_sizes.held(case.truth, answer(*(2 * end for end in around))) == {path: False}
-    assert rig_sizes.held(case.truth, {"verdict": None}) == {}
+    assert sizes.held(case.truth, answer(*around)) == {path: True}
+    assert sizes.held(case.truth, answer(*(2 * end for end in around))) == {path: False}
+    assert sizes.held(case.truth, {"verdict": None}) == {}

@@ -1,7 +1,7 @@
 """Calibration of confidences on cases with known causes: share of right answers by margin.
 
-    python -m softarm.diagnosis.blind.curve robot CASES --labels FILE --answers FILE
-    python -m softarm.diagnosis.blind.curve rig FOLDER [FOLDER ...]
+    python -m validation.confidence robot CASES --labels FILE --answers FILE
+    python -m validation.confidence rig FOLDER [FOLDER ...]
 
 Writes the part for soft arm or rigs of `engine/confidence.json`. Published figures come from other cases.
 """
@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from softarm.diagnosis.blind import rigs, run, seal
-from softarm.diagnosis.blind.score import right_names
+from softarm.diagnosis.blind import run, seal
 from softarm.diagnosis.engine import confidence
+from validation.rigs.benchmark import answered
+from validation.rigs.score import right_names
 
 # Edges of the bins. A bin with too few cases, or without a higher chance than the one below, is joined with that one.
 MARGINS: Final = (0.0, 0.12, 0.25, 0.5, 0.75, 1.0)
@@ -58,8 +59,8 @@ def of_robot(labels: seal.Labels, content: dict[str, Any]) -> Iterator[Answer]:
 
 
 def of_rigs(folder: Path) -> Iterator[Answer]:
-    """Yield every named effect that has a margin, of a folder of `softarm.diagnosis.blind.rigs`."""
-    for truth, answer in rigs.answered(folder):
+    """Yield every named effect that has a margin, of a folder of `validation.rigs.benchmark`."""
+    for truth, answer in answered(folder):
         if answer is not None:
             yield from _rated(answer, right_names(truth, answer))
 
@@ -72,7 +73,7 @@ def _rated(answer: Mapping[str, Any], right: Mapping[str, bool]) -> Iterator[Ans
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line (`python -m softarm.diagnosis.blind.curve --help`)."""
+    """Run the command line (`python -m validation.confidence --help`)."""
     parser = argparse.ArgumentParser(prog=f"python -m {__spec__.name}", description=__doc__.split("\n")[0])
     customers = parser.add_subparsers(dest="customer", required=True)
     robot = customers.add_parser("robot", help="from opened cases and their answers")

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from softarm.reality.rigs.faults import FAULTS, Patch
-from softarm.reality.rigs.presets import RIGS, Kind, Rig
+from softarm.diagnosis.blind.cases import apportioned, in_turn
+from validation.rigs.faults import FAULTS, Patch
+from validation.rigs.presets import RIGS, Kind, Rig
 
-T = TypeVar("T")
 Category = Literal["single", "half", "two", "set", "none", "unknown"]
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
 # Share of each category in a corpus.
@@ -169,23 +169,6 @@ def case_of(
         f"{rig}-{'-'.join(faults) or 'healthy'}".replace(" ", "-"), machine, category, causes, strength,
         tuple(excitations) or _usual(machine, random), seed,
     )  # fmt: skip
-
-
-def apportioned(shares: Mapping[T, float], count: int) -> dict[T, int]:
-    """Return whole numbers in proportion to shares that add up to a count, rounded by the largest remainders."""
-    total = sum(shares.values())
-    exact = {each: share / total * count for each, share in shares.items()}
-    whole = {each: int(x) for each, x in exact.items()}
-    for each in sorted(exact, key=lambda each: whole[each] - exact[each])[: count - sum(whole.values())]:
-        whole[each] += 1
-    return whole
-
-
-def in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
-    """Yield all items in random order, again and again."""
-    while True:
-        for index in random.permutation(len(items)):
-            yield items[index]
 
 
 def _case(

@@ -2,8 +2,8 @@
 
 import pytest
 
-from softarm.diagnosis.blind.detection import SHARES, causes, limit, weak
 from softarm.diagnosis.blind.imperfections import read
+from validation.detection import SHARES, causes, limit, weak
 
 
 def test_the_limit_is_the_smallest_strength_from_which_nine_of_ten_are_found():

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, check_names, worn
+from validation.rigs.laws import GRAVITY_M_S2, Array, Bristles, check_names, worn
 
 # Parameters per joint and per lane; missing ones are neutral.
 JOINT_PARAMETERS: Mapping[str, float] = {

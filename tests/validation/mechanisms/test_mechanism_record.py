@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from softarm.reality.mechanisms import cases
-from softarm.reality.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of, sizes_of
-from softarm.reality.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
+from validation.mechanisms import cases
+from validation.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of, sizes_of
+from validation.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
 
 HEALTHY = Truth({})
 

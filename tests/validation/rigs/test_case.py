@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from softarm.reality.rigs import excitation
-from softarm.reality.rigs.case import case_of, draw
-from softarm.reality.rigs.faults import FAULTS
-from softarm.reality.rigs.presets import RIGS
-from softarm.reality.rigs.record import record, stage_model, write
 from softarm.schemas.trial import StageFile
+from validation.rigs import excitation
+from validation.rigs.case import case_of, draw
+from validation.rigs.faults import FAULTS
+from validation.rigs.presets import RIGS
+from validation.rigs.record import record, stage_model, write
 
 
 def test_a_case_can_be_sent_to_another_process():

@@ -1,11 +1,11 @@
 """Benchmark of the diagnosis on mechanisms with a MuJoCo model: make, answer and score cases.
 
-    python -m softarm.diagnosis.blind.mechanisms make FOLDER --cases 60 --seed 1
-    python -m softarm.diagnosis.blind.mechanisms run FOLDER
-    python -m softarm.diagnosis.blind.mechanisms score FOLDER
+    python -m validation.mechanisms.benchmark make FOLDER --cases 60 --seed 1
+    python -m validation.mechanisms.benchmark run FOLDER
+    python -m validation.mechanisms.benchmark score FOLDER
 
 FOLDER/data contains the inputs of the diagnosis, FOLDER/truths the causes and FOLDER/answers the verdicts. Robots, laws
-and faults are those of `softarm.reality.mechanisms`.
+and faults are those of `validation.mechanisms`.
 """
 
 import argparse
@@ -21,9 +21,9 @@ import numpy as np
 from softarm.common import batch
 from softarm.common.batch import JobsFailed, Work, Workers
 from softarm.common.cluster import ClusterError
-from softarm.diagnosis.blind.rigs import add_workers, answered, run
 from softarm.diagnosis.data.trials import TrialError
-from softarm.reality.mechanisms.cases import ANY, draw_and_write
+from validation.mechanisms.cases import ANY, draw_and_write
+from validation.rigs.benchmark import add_workers, answered, run
 
 # Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
 # that no effect expresses.
@@ -138,9 +138,9 @@ def wrong_lines(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) ->
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line (`python -m softarm.diagnosis.blind.mechanisms --help`)."""
+    """Run the command line (`python -m validation.mechanisms.benchmark --help`)."""
     parser = argparse.ArgumentParser(
-        prog="python -m softarm.diagnosis.blind.mechanisms", description=__doc__.split("\n")[0]
+        prog="python -m validation.mechanisms.benchmark", description=__doc__.split("\n")[0]
     )
     parser.add_argument("verb", choices=("make", "run", "score"))
     parser.add_argument("folder", type=Path)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, grown, lanes_of, orifice, worn
+from validation.rigs.laws import Array, Bristles, Loops, Play, dead_zone, grown, lanes_of, orifice, worn
 
 INF = float("inf")
 # Time constant of the inner loop as a share of the outer loop's.

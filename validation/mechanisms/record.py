@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.reality.rigs.laws import Play
+from validation.rigs.laws import Play
 
 MODELS: Final = Path(__file__).parent / "models"
 
