@@ -146,17 +146,13 @@ class FittedChoice:
         """Return the fit of the named effects alone: the model of figures, calibration and patch.
 
         If one of them then has the model's own value or is at a bound, all keep the sizes that they have beside the
-        dropped effects. Of the sizes that fit alike next to other nuisances, a rig's are those that need least of them.
+        dropped effects. Of the sizes that fit alike next to other nuisances, those that need least of them are taken.
         """
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
         kept = [i for i, name in enumerate(chosen.names) if name in names]
         if not kept:
             return self.choice.null_model
-        problem = self.verdict_problem
-        if self.thresholds.approximate:
-            problem = replace(problem, edge_cost=EDGE_COST)
-        elif len(kept) == len(chosen.effects):
-            return chosen
+        problem = replace(self.verdict_problem, edge_cost=EDGE_COST)
         alone = problem.fit([chosen.only(kept)], self.thresholds.search.rounds)[0]
         return self.verdict_problem.part(chosen, kept) if self.open_effects(alone) or alone.at_bound else alone
 

@@ -159,12 +159,20 @@ def test_a_named_effect_keeps_its_size_if_it_goes_to_a_bound_without_the_dropped
     assert not named.at_bound
 
 
-def test_if_all_or_none_are_named_their_fit_is_that_of_the_search(found):
+def test_if_all_are_named_they_have_the_sizes_of_the_search_and_if_none_is_its_null_model(found):
     decision = found.decide()
     named = found.named(decision)
-    assert named is found.choice.chosen or found.thresholds.approximate  # a rig's sizes are fitted once more
-    assert named.x == pytest.approx(found.choice.chosen.x, abs=0.01)
+    assert named.names == found.choice.chosen.names
+    assert named.x == pytest.approx(found.choice.chosen.x, abs=1e-3)
     assert found.named(replace(decision, selected=())) is found.choice.null_model
+
+
+def test_a_size_is_not_shared_with_a_tolerance_that_resembles_its_effect():
+    setup = Setup([_View()], (Nuisance(TWIN, 0.0, -0.3, 0.3),), KINDS)
+    found = Examination(setup, (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3)), ROBOT, lambda what, share: None)
+    named = found.named(found.decide())
+    assert named.point[SWING] == pytest.approx(TRUTH[SWING], abs=0.03)
+    assert abs(named.nuisance[0]) < 0.1
 
 
 def test_the_calibration_next_to_the_named_effects_replaces_what_is_not_named(found):
