@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.view import Array, Point, View
+from softarm.diagnosis.robot.play import coasting
 from softarm.diagnosis.robot.trial_grid import RATE_HZ, STEP_S, TrialGrid
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
@@ -360,7 +361,8 @@ class MocapView(RobotView):
         half = point.get("rail.backlash.gap", 0.0) / 2
         if half <= 0:
             return way
-        return _coasting(way, half, np.where(self.grid.held, 0.0, self.grid.push_n) / self.model.cart.mass_kg)
+        way, pushed_n = np.nan_to_num(way), np.where(self.grid.held, 0.0, self.grid.push_n)
+        return np.asarray(coasting(way, _rate(way), half, pushed_n / self.model.cart.mass_kg, STEP_S))
 
 
 def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:
@@ -373,23 +375,6 @@ def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:
         of = [largest if name == "torque_offset_nm" else value for value in values]
         changed[name] = tuple(value + share * size for value, share, size in zip(values, shares, of, strict=True))
     return model.model_copy(update={"arm": model.arm.model_copy(update=changed)})
-
-
-def _coasting(way: Array, half: float, pushed_m_s2: Array) -> Array:
-    """Return the cart's position with play, [T, K]: free between the flanks, pushed by the arm, stopped by a flank."""
-    way = np.nan_to_num(way)
-    speed = np.gradient(way, STEP_S, axis=0)
-    cart, place, rate = np.empty_like(way), way[0].copy(), speed[0].copy()
-    for t in range(len(way)):
-        rate = rate + pushed_m_s2[t] * STEP_S
-        place = place + rate * STEP_S
-        ahead = place - way[t]
-        rate = np.where(
-            ahead > half, np.minimum(rate, speed[t]), np.where(ahead < -half, np.maximum(rate, speed[t]), rate)
-        )
-        place = way[t] + np.clip(ahead, -half, half)
-        cart[t] = place
-    return cart
 
 
 def _rate(values: Array) -> Array:
