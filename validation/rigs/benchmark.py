@@ -120,7 +120,7 @@ def _print(folder: Path) -> None:
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add the options of the place that jobs run at."""
     parser.add_argument("--workers", type=int, default=cores(), help="parallel jobs here; one per core by default")
-    parser.add_argument("--ray", help="address of a Ray cluster that runs the jobs; 'local' starts one here")
+    parser.add_argument("--ray", help="address of a Ray cluster with this checkout; 'local' starts one here")
 
 
 def _parser() -> argparse.ArgumentParser:
