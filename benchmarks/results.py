@@ -70,7 +70,7 @@ _ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engi
 _DIAGNOSIS = (*_SIMULATOR, *_ENGINE, "softarm/diagnosis/robot")  # of the soft arm
 _ROBOT = "devices", "parameters", "plant", "record", "robot", "sensors"
 _REALITY = tuple(f"softarm/reality/{name}.py" for name in _ROBOT)  # the independent soft arm
-_BLIND = (*_DIAGNOSIS, "softarm/diagnosis/blind", *_REALITY)
+_BLIND = (*_DIAGNOSIS, "validation/blind", *_REALITY)
 _ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
 _DAEMON = "validation/daemon_process.py"
 _REAL_ARM = tuple(f"benchmarks/{name}.py" for name in ("arm_recordings", "pace", "real_arm"))
@@ -80,7 +80,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
     "adversary-tick": (*_CONTROL, *_ADVERSARY),
     "all": (*_FLIGHTS, *_REALITY),
-    "blind": (*_BLIND, "softarm/diagnosis/baselines.py"),
+    "blind": _BLIND,
     "bridging": (*_FLIGHTS, *_REALITY, "benchmarks/bridging.py"),
     "card": (*_TRAINING, "benchmarks/card.py"),
     "chained": (*_FLIGHTS, *_REALITY, "validation/chained.py", "validation/outside"),

@@ -15,12 +15,12 @@ from softarm.daemon.api.app import ApiContext, create_app
 from softarm.daemon.config import configuration
 from softarm.daemon.control import failsafe
 from softarm.daemon.control.inbox import Inbox
-from softarm.diagnosis.blind import pages
 from softarm.evaluation import leaderboard
 from softarm.reality import parameters
 from softarm.schemas import stage_model
 from softarm.schemas.config import Config
 from softarm.simulator import effects_page
+from validation.blind import pages
 
 ROOT = Path(__file__).resolve().parents[1]
 _LINK = re.compile(r"\]\((\.\./[\w./-]+?)(#[\w-]*)?\)")

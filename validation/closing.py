@@ -17,7 +17,6 @@ import click
 from benchmarks import results
 from softarm.common import files
 from softarm.common.processes import bar
-from softarm.diagnosis.blind.cases import PROGRAMME
 from softarm.evaluation.closing.fly import fly
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
@@ -27,6 +26,7 @@ from softarm.schemas.config import Config
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
+from validation.blind.cases import PROGRAMME
 
 SINGLE = (
     "rail.delay_s=0.09",

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from softarm.diagnosis.blind import run, seal
 from softarm.diagnosis.engine import confidence
+from validation.blind import run, seal
 from validation.rigs.benchmark import answered
 from validation.rigs.score import right_names
 

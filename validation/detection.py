@@ -15,13 +15,13 @@ import numpy as np
 
 from softarm.common import batch, files
 from softarm.common.batch import Kept, Work, Workers, workers_options
-from softarm.diagnosis.blind import pages, run, seal
-from softarm.diagnosis.blind.cases import Case, with_trials
-from softarm.diagnosis.blind.imperfections import KNOWN, Cause, Variant, draw_nuisances, given, ranges
-from softarm.diagnosis.blind.make import is_written, write_case
-from softarm.diagnosis.blind.score import Scored
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.verdict import Verdict
+from validation.blind import pages, run, seal
+from validation.blind.cases import Case, with_trials
+from validation.blind.imperfections import KNOWN, Cause, Variant, draw_nuisances, given, ranges
+from validation.blind.make import is_written, write_case
+from validation.blind.score import Scored
 
 SHARES = (0.125, 2.0)  # of the strength of the benchmark's weakest cause
 FOUND = 0.9

@@ -24,8 +24,6 @@ from softarm.cli.shared.console import (
     write_json,
 )
 from softarm.cli.shared.errors import NOTHING, fail, leaves
-from softarm.common.batch import Workers, workers_options
-from softarm.common.processes import bar
 from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
@@ -33,103 +31,19 @@ if TYPE_CHECKING:
     from softarm.training.trajectory.planner import Row
     from softarm.training.trajectory.problem import Array
 
-labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")
 OUT = Path("runs/trajectories.npz")
 LISTED = 12  # so many plans are shown one by one
 
 
 @click.group(cls=Verbs)
 def dev() -> None:
-    """Measure the diagnosis and the daemon, and write policy files: tools of softarm's makers.
+    """Measure the daemon, and write policy files: tools of softarm's makers.
 
     \b
     Examples:
       softarm dev soak --hours 1
       softarm dev export runs/reach-1/best.pt --out my-reach.onnx
     """
-
-
-@dev.group()
-def blind() -> None:
-    """Measure the diagnosis on robots with sealed faults.
-
-    \b
-    Examples:
-      softarm dev blind make cases --labels sealed/labels.json --fresh sealed/fresh
-      softarm dev blind run cases --answers answers.json
-      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
-    """
-
-
-@blind.command()
-@click.argument("data", type=FOLDER)
-@labels_option
-@click.option("--fresh", type=FOLDER, help="Folder for three more trials of each case, used by the score only.")
-@click.option("--cases", "count", default=100, show_default=True, type=click.IntRange(1, 10000), help="Number to draw.")
-@click.option("--seed", type=click.IntRange(0), help="Seed of the draw; random and secret by default.")
-@workers_options()
-def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, workers: Workers) -> None:
-    """Draw cases, seal their labels, and fly the cases into DATA. The same command resumes an interrupted run.
-
-    The labels contain the seed and the salt, which reveal every fault: keep this file outside DATA.
-
-    \b
-    Example:
-      softarm dev blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
-    """
-    from softarm.diagnosis.blind import make as making
-
-    leaves(f"the finished cases are kept in {data}; the same command continues")
-    cases = making.prepare(data, labels_file, fresh, count, seed)
-    making.write_cases(cases, data, fresh, workers)
-    click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
-    click.echo(f"next: softarm dev blind run {data} --answers answers.json")
-
-
-@blind.command()
-@click.argument("data", type=FOLDER)
-@click.option("--answers", "answers_file", type=FILE, required=True, help="File for the answers; frozen at the end.")
-@click.option("--method", default="diagnose", show_default=True, help="Method that answers: diagnose, or a baseline.")
-@workers_options()
-def run(data: Path, answers_file: Path, method: str, workers: Workers) -> None:
-    """Answer every case of DATA and freeze the answers (FILE.sha256). The same command resumes an interrupted run.
-
-    An answer is kept as long as the tool's code and the case's files are unchanged.
-
-    \b
-    Examples:
-      softarm dev blind run cases --answers answers.json
-      softarm dev blind run cases --answers bic.json --method bic
-    """
-    from softarm.diagnosis.blind import run as running
-
-    leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
-    digest = running.run(data, answers_file, method, workers)
-    click.echo(f"wrote {answers_file}; frozen as {digest}")
-
-
-@blind.command("open")
-@click.argument("data", type=FOLDER)
-@labels_option
-@click.option(
-    "--answers", "answer_files", type=FILE, multiple=True, required=True, help="Frozen answers; one file per method."
-)
-@click.option("--fresh", type=FOLDER, help="Folder of the fresh trials; without it the shrink is not checked.")
-@click.option("--out", type=FOLDER, required=True, help="Folder for score.json, score.md and the pictures.")
-def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, out: Path) -> None:
-    """Score frozen answers against the labels; refuse files that changed after sealing.
-
-    \b
-    Example:
-      softarm dev blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
-        --answers answers.json --answers bic.json --out score
-    """
-    from softarm.diagnosis.blind import opening
-
-    leaves("no score was written; the same command starts again")
-    with bar("opening", total=None) as shown:
-        opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
-    click.echo((out / "score.md").read_text(encoding="utf-8"))
 
 
 @dev.command(short_help="Write a checkpoint as an ONNX policy.")

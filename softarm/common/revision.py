@@ -51,14 +51,13 @@ def software(packages: Iterable[str] = ()) -> dict[str, str]:
 
 
 @lru_cache
-def code_version(*packages: str, without: str = "") -> str:
+def code_version(*packages: str) -> str:
     """Return the version of softarm with a hash of its code and policies, or of some of its packages.
 
-    `without` is the name of a folder that does not count. Equal texts mean equal results, wherever a job ran.
+    Equal texts mean equal results, wherever a job ran.
     """
     roots = [PACKAGE / name for name in packages or ("",)]
     found = sorted(path for root in roots for path in root.rglob("*") if path.suffix in _CODE)
-    found = [path for path in found if without not in path.parts]
     lines = [f"{path.relative_to(PACKAGE)} {sha256_of(path)}" for path in found]
     return f"{__version__}+{hashlib.sha256(chr(10).join(lines).encode()).hexdigest()[:12]}"
 

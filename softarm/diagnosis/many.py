@@ -61,7 +61,7 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
         OSError: A file cannot be written.
     """
     out, todo = options.out, {name: (name, stage_of_folder(path)) for name, path in names(inputs).items()}
-    tool = code_version("common", "diagnosis", "schemas", "simulator", without="blind")
+    tool = code_version("common", "diagnosis", "schemas", "simulator")
     model = None if options.model is None else model_file.fingerprint(model_file.load(options.model))
 
     def depends_on(name: str) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def test_every_verb_has_help_with_an_example_of_itself(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_two_options_of_a_verb_share_a_parameter(name):
-    """`--workers` took the number of cases away from `dev blind make --cases`."""
+    """`--workers` once took the value of an option `--cases`."""
     for path, command in commands_of(name):
         names = [each.name for each in command.params if getattr(each, "is_flag", False) is False]
         assert len(names) == len(set(names)), path
@@ -57,7 +57,7 @@ def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatc
 
 def test_tools_of_makers_are_listed_below_dev_alone():
     first, below = invoke("--help").output, invoke("dev", "--help").output
-    for name in ("blind", "export", "plan", "soak"):
+    for name in ("export", "plan", "soak"):
         assert f"\n  {name} " in below
         assert f"\n  {name} " not in first
 

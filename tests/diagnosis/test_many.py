@@ -100,7 +100,7 @@ def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
     assert diagnosed()[0] == ["loud"]
     assert diagnosed(model=Path("no-delay"))[0] == ["quiet", "loud"]
     assert diagnosed(budget_s=3.0)[0] == ["quiet", "loud"]
-    monkeypatch.setattr(many, "code_version", lambda *names, without: "another")
+    monkeypatch.setattr(many, "code_version", lambda *names: "another")
     assert diagnosed()[0] == ["quiet", "loud"]
 
 

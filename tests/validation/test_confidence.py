@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.diagnosis.blind import seal
 from softarm.diagnosis.engine.confidence import chance
+from validation.blind import seal
 from validation.confidence import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
 
 ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)

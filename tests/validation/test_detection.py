@@ -2,7 +2,7 @@
 
 import pytest
 
-from softarm.diagnosis.blind.imperfections import read
+from validation.blind.imperfections import read
 from validation.detection import SHARES, causes, limit, weak
 
 

@@ -23,8 +23,8 @@ from softarm.common.batch import JobsFailed, Kept, Work, Workers
 from softarm.common.cluster import ClusterError
 from softarm.common.files import sha256_of
 from softarm.common.processes import cores
-from softarm.diagnosis.blind import seal
 from softarm.diagnosis.data.trials import TrialError
+from validation.blind import seal
 from validation.rigs.case import CATEGORIES, RigCase, case_of, draw
 from validation.rigs.presets import Kind
 from validation.rigs.record import write

@@ -6,7 +6,7 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from softarm.diagnosis.blind.cases import apportioned, in_turn
+from validation.blind.cases import apportioned, in_turn
 from validation.rigs.faults import FAULTS, Patch
 from validation.rigs.presets import RIGS, Kind, Rig
 

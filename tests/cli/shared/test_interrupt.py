@@ -48,7 +48,6 @@ def test_ctrl_c_while_waiting_leaves_the_daemon_running(softarm, daemon, make_st
         ("evaluate", "evaluation.runner.evaluate", "nothing was written"),
         ("dev plan", "training.trajectory.planner.plan", "nothing was written"),
         ("diagnose x.mcap", "diagnosis.from_files.diagnose_files", "nothing was written"),
-        ("dev blind run cases --answers a.json", "diagnosis.blind.run.run", "the answers so far are kept in a.json"),
         ("train reach --out mine", "training.run.recipe.begin", "no checkpoint yet; mine may be deleted"),
         ("train --sweep a.yaml --out runs", "training.run.sweep.load", "finished runs are kept in runs; the same"),
         ("logs replay x.mcap", "daemon.logbook.logs.parts", "nothing was changed"),

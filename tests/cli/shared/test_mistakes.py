@@ -45,7 +45,6 @@ def refused(folder, line, code):
 @pytest.mark.parametrize(
     ("line", "near"),
     [
-        ("dev blind run cases --answers a.json --method bics", "bic?"),
         ("close-gap campaign --out closed --policy reech", "reach?"),
         ("close-gap campaign --out closed --robot no-dely", "no-delay?"),
         ("diagnose campaign --model no-dely", "no-delay?"),

@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from softarm.diagnosis.blind.cases import PROGRAMME, with_trials
-from softarm.diagnosis.blind.imperfections import UNKNOWNS, draw_cause, draw_nuisances, given
-from softarm.diagnosis.blind.make import write_case
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.diagnose import diagnose
 from softarm.reality.parameters import Arm, RobotParameters
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
+from validation.blind.cases import PROGRAMME, with_trials
+from validation.blind.imperfections import UNKNOWNS, draw_cause, draw_nuisances, given
+from validation.blind.make import write_case
 
 DEAD_TIME_S = 0.06
 pytestmark = pytest.mark.slow

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from softarm.diagnosis.blind.imperfections import KNOWN, SAME_SIZE, draw_nuisances, read
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.counts import TOLERANCE
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, find, value
+from validation.blind.imperfections import KNOWN, SAME_SIZE, draw_nuisances, read
 
 ALL = candidates(Model())
 BARE = Model(effects={})

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from softarm.common.files import sha256_of
-from softarm.diagnosis.blind import pages, run, seal
-from softarm.diagnosis.blind.imperfections import Cause
-from softarm.diagnosis.blind.score import Scored, score
 from softarm.diagnosis.data import read
 from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
+from validation.blind import pages, run, seal
+from validation.blind.imperfections import Cause
+from validation.blind.score import Scored, score
 
 # case, done, of
 OnCase = Callable[[str, int, int], None]
@@ -69,11 +69,13 @@ def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels,
     if missing := sorted(set(labels.cases) ^ set(given)):
         raise seal.SealError(
             f"{file}: {', '.join(missing[:5])} {'is' if len(missing) == 1 else 'are'} in the labels or in the answers, "
-            "but not in both; finish `softarm dev blind run` on these data"
+            "but not in both; finish `python -m validation.blind run` on these data"
         )
     for case, digest in given.items():
         if sha256_of(data / case) != digest:
-            raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm dev blind run` again")
+            raise seal.SealError(
+                f"{data / case}: changed after it was answered; run `python -m validation.blind run` again"
+            )
 
 
 def _scored(labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, on_case: OnCase) -> list[Scored]:

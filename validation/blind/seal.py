@@ -37,7 +37,7 @@ def sha256(text: str | bytes) -> str:
 
 def tool_version() -> str:
     """Return the package's version with a hash of the code that answers."""
-    return code_version("common", "diagnosis", "schemas", "simulator", without="blind")
+    return code_version("common", "diagnosis", "schemas", "simulator")
 
 
 def commitment(labels: Labels) -> dict[str, Any]:
@@ -65,18 +65,21 @@ def keep_apart(place: Path, data: Path) -> None:
 
 def read_labels(file: Path) -> Labels:
     """Raises SealError for a file that holds no labels."""
-    data = _json(file, "the labels that `softarm dev blind make` wrote")
+    data = _json(file, "the labels that `python -m validation.blind make` wrote")
     try:
         return Labels(data["salt"], data["seed"], data["cases"])
     except (KeyError, TypeError):
         raise SealError(
-            f"{file}: contains no labels; name the file that `softarm dev blind make --labels` wrote"
+            f"{file}: contains no labels; name the file that `python -m validation.blind make --labels` wrote"
         ) from None
 
 
 def check_labels(labels: Labels, data: Path) -> None:
     """Raise SealError if the labels differ from the commitment in the data folder."""
-    promised, found = _json(data / COMMITMENT, "the commitment of `softarm dev blind make`"), commitment(labels)
+    promised, found = (
+        _json(data / COMMITMENT, "the commitment of `python -m validation.blind make`"),
+        commitment(labels),
+    )
     if promised != found:
         cases = promised.get("cases", {}) if isinstance(promised, dict) else {}
         other = sorted(name for name in {*cases, *found["cases"]} if cases.get(name) != found["cases"].get(name))
@@ -100,11 +103,12 @@ def check_frozen(answers: Path) -> str:
         digest = sha256(answers.read_bytes())
     except (OSError, IndexError):
         raise SealError(
-            f"{answers}: is not frozen ({answers.name}.sha256 is missing); finish `softarm dev blind run` first"
+            f"{answers}: is not frozen ({answers.name}.sha256 is missing); "
+            "finish `python -m validation.blind run` first"
         ) from None
     if digest != frozen:
         raise SealError(
-            f"{answers}: has changed since it was frozen; run `softarm dev blind run` again on unseen cases"
+            f"{answers}: has changed since it was frozen; run `python -m validation.blind run` again on unseen cases"
         )
     return digest
 

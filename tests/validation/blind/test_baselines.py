@@ -2,9 +2,9 @@
 
 import pytest
 
-from softarm.diagnosis.blind.run import METHODS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import validate
+from validation.blind.run import METHODS
 
 pytestmark = pytest.mark.slow
 LATE = (("pressure.dead_time", (("delay", 0.06),)),)

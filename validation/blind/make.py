@@ -8,11 +8,11 @@ from pathlib import Path
 
 from softarm.common import batch
 from softarm.common.batch import Work, Workers
-from softarm.diagnosis.blind import seal
-from softarm.diagnosis.blind.cases import Case, draw
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.simulator import model_file
+from validation.blind import seal
+from validation.blind.cases import Case, draw
 
 
 def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:

@@ -6,11 +6,11 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
+from validation.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
 
 T = TypeVar("T")
 Kind = Literal["single", "two", "three", "none", "unknown"]

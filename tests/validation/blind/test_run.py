@@ -5,15 +5,16 @@ import shutil
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from softarm.common.batch import Workers
-from softarm.diagnosis.blind import opening, run, seal
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.record import record
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
-from tests.cli.invoke import invoke
 from tests.diagnosis.verdicts import effect, verdict
+from validation.blind import opening, run, seal
+from validation.blind.__main__ import main
 
 CASES = ("case-a", "case-b", "case-c")
 GAIN = {"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}
@@ -150,14 +151,18 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
     assert not (tmp_path / "out").exists()
 
 
+def invoke(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
 def test_the_commands_run_and_open_work(data, tmp_path):
-    outcome = invoke("dev", "blind", "run", data, "--answers", tmp_path / "a.json", "--workers", 1)
+    outcome = invoke("run", data, "--answers", tmp_path / "a.json", "--workers", 1)
     assert outcome.exit_code == 0, outcome.output
     assert "frozen as" in outcome.output
-    opened = ("dev", "blind", "open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
+    opened = ("open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
     outcome = invoke(*opened, tmp_path / "sealed" / "labels.json")
     assert outcome.exit_code == 0, outcome.output
     assert "single, exact | 100%" in outcome.output
     outcome = invoke(*opened, tmp_path / "none.json")
     assert outcome.exit_code == 1
-    assert "softarm dev blind make" in outcome.output
+    assert "python -m validation.blind make" in outcome.output

@@ -9,8 +9,8 @@ from itertools import permutations
 from typing import Any
 
 from softarm.common.shares import Share, share
-from softarm.diagnosis.blind.imperfections import SAME_SIZE, Cause
 from softarm.schemas.verdict import Interval, NamedEffect, Verdict
+from validation.blind.imperfections import SAME_SIZE, Cause
 
 BINS = 10
 SET_MAX = 2

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from softarm.diagnosis.blind import make, seal
+from validation.blind import make, seal
 
 LABELS = seal.Labels("5a" * 32, 11, {"case-a": {"kind": "none", "causes": []}, "case-b": {"kind": "two", "causes": []}})
 

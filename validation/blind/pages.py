@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from softarm.diagnosis.blind.imperfections import UNKNOWN, UNKNOWNS, ranges
 from softarm.reporting.colours import LIGHT
+from validation.blind.imperfections import UNKNOWN, UNKNOWNS, ranges
 
 
 def markdown(result: Mapping[str, Any]) -> str:

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.diagnosis.blind.imperfections import Cause
-from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score
 from tests.diagnosis.verdicts import effect, verdict
+from validation.blind.imperfections import Cause
+from validation.blind.score import Scored, answer_set, calibration, coverage, score
 
 
 def case(kind, causes, *effects, stated="named", stage=None, shrink=None, removed=False):

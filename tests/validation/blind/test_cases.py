@@ -7,9 +7,16 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from softarm.diagnosis.blind import make
-from softarm.diagnosis.blind.cases import FRESH, PROGRAMME, SINGLES, draw, separable
-from softarm.diagnosis.blind.imperfections import (
+from softarm.diagnosis.data.folder import read as read_trial
+from softarm.diagnosis.data.read import read_all
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.excitation import EXCITATIONS, Excitation, Ramp
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+from softarm.simulator.effects import REGISTRY
+from validation.blind import make
+from validation.blind.cases import FRESH, PROGRAMME, SINGLES, draw, separable
+from validation.blind.imperfections import (
     KNOWN,
     REMOVABLE,
     UNKNOWN,
@@ -20,13 +27,6 @@ from softarm.diagnosis.blind.imperfections import (
     given,
     variants_of,
 )
-from softarm.diagnosis.data.folder import read as read_trial
-from softarm.diagnosis.data.read import read_all
-from softarm.reality.parameters import RobotParameters
-from softarm.schemas.excitation import EXCITATIONS, Excitation, Ramp
-from softarm.schemas.model import Model
-from softarm.simulator import model_file
-from softarm.simulator.effects import REGISTRY
 
 CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
 # Fields of the independent robot that the nuisances change; all others are neutral without a cause.

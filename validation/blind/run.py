@@ -16,14 +16,13 @@ from softarm.common import batch
 from softarm.common.batch import Kept, Work, Workers
 from softarm.common.files import sha256_of
 from softarm.common.words import did_you_mean
-from softarm.diagnosis import baselines
-from softarm.diagnosis.blind import seal
 from softarm.diagnosis.data import read
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
+from validation.blind import baselines, seal
 
 Method = Callable[[Sequence[Trial], Model], Diagnosis]
 
@@ -38,7 +37,7 @@ METHODS: dict[str, Method] = {
 def run(data: Path, file: Path, method: str = "diagnose", workers: Workers | None = None) -> str:
     """Answer every case, freeze the file of answers and return its SHA-256.
 
-    Answers of the same version of the tool to the same data are kept in the folder `file` + `.kept`, also after an
+    Answers of the same code to the same data are kept in the folder `file` + `.kept`, also after an
     interrupted run. Processor times are written to `file` + `.timing.json`, which is not frozen.
 
     Raises SealError if the folder contains no cases, or the method is unknown.
@@ -49,7 +48,10 @@ def run(data: Path, file: Path, method: str = "diagnose", workers: Workers | Non
     cases = {case.name: case for case in folders(data)}
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
-    about = {"method": method, "tool": seal.tool_version()}
+    tool = seal.tool_version()
+    if method != "diagnose":
+        tool += f"+{sha256_of(Path(baselines.__file__))[:12]}"
+    about = {"method": method, "tool": tool}
     folder = seal.beside(file, ".kept")
     kept = Kept(lambda name: folder / f"{name}.json", lambda name: {**about, "data": sha256_of(cases[name])})
     work = Work(partial(answer_case, method=method), reads=lambda case: [case])
@@ -63,7 +65,8 @@ def folders(data: Path) -> list[Path]:
     cases = sorted(path.parent for path in data.glob("*/model.yaml"))
     if not cases:
         raise seal.SealError(
-            f"{data}: contains no case (no folder with a model.yaml); name the one that `softarm dev blind make` wrote"
+            f"{data}: contains no case (no folder with a model.yaml); name the folder that "
+            "`python -m validation.blind make` wrote"
         )
     return cases
 
