@@ -18,11 +18,13 @@ export class Panel {
 
   // Load the content each time the panel is opened.
   async open() {
+    const request = (this.request = Symbol("request")); // the answer to an earlier one may arrive later
     if (!this.place.childElementCount) this.place.replaceChildren(el("p", { class: "hint" }, "Loading …"));
     try {
-      this.fill(await this.load());
+      const answer = await this.load();
+      if (request === this.request) this.fill(answer);
     } catch (error) {
-      this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${words(error)}`));
+      if (request === this.request) this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${words(error)}`));
     }
   }
 
