@@ -150,6 +150,7 @@ def token_of(file: Path | None) -> str | None:
 
 
 WIDTH = 80  # where there is no terminal
+NO_VALUE = "-"
 PATIENCE_S = 2.0  # a wait longer than this is announced
 
 print_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
@@ -174,16 +175,20 @@ def clock(time: str) -> str:
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = "", width: int = WIDTH) -> None:
-    """Print rows of plain text, as wide as the terminal or `width` characters without one."""
+    """Print rows of plain text, as wide as the terminal or `width` characters without one.
+
+    A column of which every row has NO_VALUE is left out.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=title)
-    for column in columns:
-        table.add_column(column, overflow="fold")
+    table, rows = Table(title=title), list(rows)
+    shown = [k for k in range(len(columns)) if not rows or any(row[k] != NO_VALUE for row in rows)]
+    for k in shown:
+        table.add_column(columns[k], overflow="fold")
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(row[k]) for k in shown))
     Console(width=None if sys.stdout.isatty() else width).print(table)
 
 
