@@ -124,8 +124,10 @@ def _how_sure(diagnosis: Diagnosis) -> str:
 
 
 def _shrinks(diagnosis: Diagnosis) -> str:
-    gap, stage = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
+    gap, worst = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
     one, *more = diagnosis.verdict.causes
+    share, caused = diagnosis.verdict.where.share, {s for each in (one, *more) for s in stages_with(each)}
+    stage = worst if worst in caused else max(sorted(caused), key=lambda name: share.get(name, 0.0))
     it = "all of them" if more else name_of(one) if one.equivalents else "it"
     places = [(stage, f"the gap of the {stage} stage")]
     if stage != "chain":
@@ -135,7 +137,8 @@ def _shrinks(diagnosis: Diagnosis) -> str:
         return "The shrink of the gap could not be measured on this data."
     noise = f" In the {stage} stage, {noise_level(gap.floor[stage])}." if stage in gap.floor else ""
     corrected = f"With {it} corrected in the {model_word(diagnosis)}"
-    return f"{corrected}, {' and '.join(parts)}, {HELD_OUT[diagnosis.held_out]}.{noise}"
+    left = "" if stage == worst else f" No effect is named for the {worst} stage."
+    return f"{corrected}, {' and '.join(parts)}, {HELD_OUT[diagnosis.held_out]}.{noise}{left}"
 
 
 def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:

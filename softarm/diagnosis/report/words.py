@@ -8,6 +8,7 @@ from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, Nam
 from softarm.simulator.effect_table import Parameter
 from softarm.simulator.effects import REGISTRY, Effect
 
+SHOWN_MIN = 0.005  # least shrink that printed sizes show
 HELD_OUT: dict[HeldOut | None, str] = {
     "kind": "on held-out excitations",
     "trial": "on held-out trials",
@@ -189,7 +190,7 @@ def shrinks(diagnosis: Diagnosis, place: str) -> str:
     """Return how a stage's gap changes, such as `shrinks from 1.2 to 0.3 kPa RMS (74 % less, ...)`."""
     gap = diagnosis.verdict.gap
     before, after, calibrated = gap.before[place], gap.after[place], gap.calibrated.get(place)
-    if calibrated and (reduction(before, after) or 0.0) <= 0 < (reduction(before, calibrated) or 0.0):
+    if calibrated and (reduction(before, after) or 0.0) <= 0 and (reduction(before, calibrated) or 0.0) > SHOWN_MIN:
         return f"shrinks from {change(before, calibrated, ' to ')} RMS with the calibration (not without it)"
     verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
     return f"{verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"
