@@ -72,6 +72,8 @@ def _size(rig: Rig, setting: str, value: float) -> float:
             return value / mass_of(rig) - 1
         case "mode_rad_s":
             return value / math.tau
+        case "tilt_rad":  # of the links against gravity; the diagnosis tilts gravity
+            return -value
     return value
 
 

@@ -137,12 +137,12 @@ class TrackingView(RigView):
 
     @property
     def model_uncertainty(self) -> Mapping[str, float]:
-        """Uncertainty of a delay next to a nominal lag: the lag's own tolerance.
+        """Uncertainty of a lag or of a delay next to it: the nominal lag's own tolerance.
 
         How cascaded loops divide their total delay into lag and dead time depends on the form of the law.
         """
-        late = max((LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if path in self._known), default=0.0)
-        return dict.fromkeys(("dead_time.delay", "latency.delay"), late)
+        lags = {path: LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if path in self._known}
+        return lags | dict.fromkeys(("dead_time.delay", "latency.delay"), max(lags.values(), default=0.0))
 
     def _gap(self, point: Point) -> Array:
         numbers = np.zeros(law.COLUMNS)

@@ -326,16 +326,14 @@ def test_a_delay_without_a_lag_is_resolved_to_half_a_sample():
     assert view.unresolved({}) == {"dead_time.delay": half, "latency.delay": half}
 
 
-def test_a_delay_is_as_uncertain_as_the_nominal_lag():
-    """A second pole of a twentieth of the lag is within tolerance and changes the fitted delay as much."""
+def test_a_delay_and_a_lag_are_as_uncertain_as_the_nominal_lag():
+    """A second pole of a twentieth of the lag is within tolerance and changes the fitted delay or lag as much."""
     model = {"lag_s": 0.2}
     trials = [
         replace(t, stage=replace(t.stage, model=model)) for t in flown({"lag": 0.2, "delay": 0.1}, kinds=("steps",))
     ]
-    assert TrackingView(trials).model_uncertainty == {
-        "dead_time.delay": pytest.approx(0.012),
-        "latency.delay": pytest.approx(0.012),
-    }
+    times = ("lag.rise", "lag.fall", "dead_time.delay", "latency.delay")
+    assert TrackingView(trials).model_uncertainty == {time: pytest.approx(0.012) for time in times}
     assert TrackingView(flown({"delay": 0.1}, kinds=("steps",))).model_uncertainty["dead_time.delay"] == 0.0
 
 

@@ -105,6 +105,11 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
     assert json.loads((tmp_path / "score.json").read_text())["cases"][0]["outcome"] == "right"
 
 
+def test_links_that_lean_forward_are_gravity_that_leans_back():
+    case = case_of("pole", ["lean"], seed=3)
+    assert sizes.true_sizes(case.truth) == {"tilt.angle": -case.causes[0].settings["tilt_rad"]}
+
+
 @pytest.mark.parametrize(
     ("rig", "fault", "path", "unit", "worth", "offset"),
     [
