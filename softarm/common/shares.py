@@ -26,5 +26,7 @@ def share(hits: Iterable[bool]) -> Share:
         return Share(share=None, low=None, high=None, hits=0, of=0)
     p, z2 = k / n, _Z95**2
     middle, half = p + z2 / (2 * n), _Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
-    low, high = max(0.0, (middle - half) / (1 + z2 / n)), min(1.0, (middle + half) / (1 + z2 / n))
+    # Exact at the ends, where rounding would leave the share outside its interval.
+    low = (middle - half) / (1 + z2 / n) if k else 0.0
+    high = (middle + half) / (1 + z2 / n) if k < n else 1.0
     return Share(share=p, low=low, high=high, hits=k, of=n)

@@ -1,4 +1,4 @@
-"""Quantities with unit and bounds, hints, suggestions, and shares with their intervals."""
+"""Quantities with unit and bounds, hints and suggestions."""
 
 import math
 
@@ -7,7 +7,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from softarm.common.quantity import PURE, UNITS, Quantity, factor, shown
-from softarm.common.shares import share
 from softarm.common.words import did_you_mean, nearest
 
 CONVERSIONS = [(unit, other, worth) for unit, others in UNITS.items() for other, worth in others.items()]
@@ -124,10 +123,3 @@ def test_a_near_word_is_offered_and_a_far_one_is_not():
 def test_a_word_with_two_letters_swapped_is_found(word, data):
     at = data.draw(st.integers(0, len(word) - 2))
     assert nearest(word[:at] + word[at + 1] + word[at] + word[at + 2 :], ["reach", "shelf", "hold"]) == word
-
-
-def test_a_share_has_a_wilson_interval():
-    found = share([True] * 8 + [False] * 2)
-    assert (found["share"], found["hits"], found["of"]) == (0.8, 8, 10)
-    assert (found["low"], found["high"]) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Newcombe 1998's method 3
-    assert share([])["share"] is None
