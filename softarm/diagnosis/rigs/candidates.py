@@ -22,6 +22,8 @@ _ABSOLUTE = {
 _BEYOND = 1.001
 # Starting values of a fit, as shares of the usual change.
 _SHARES = (0.3, 1.0, 2.5)
+# A mass is known no better than the force on it, where it has no half-width of its own.
+_KNOWN_AS = {"mass.scale": "gain.scale"}
 # Pairs of which a reading shows only the sum: only the second one is a nuisance.
 _SUMMED = {"sensor_bias.bias": "gain.offset", "latency.delay": "dead_time.delay"}
 
@@ -89,7 +91,8 @@ def _alone(view: RigView, effect: Effect) -> Effect:
 def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     path = f"{effect.name}.{p.name}"
     local = path.partition(".")[2]
-    nominal, news = view.nominal(local), _BEYOND * _widths(view).get(local, 0.0)
+    widths = _widths(view)
+    nominal, news = view.nominal(local), _BEYOND * widths.get(local, widths.get(_KNOWN_AS.get(local, ""), 0.0))
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
         return FittedParameter(
