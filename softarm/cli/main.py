@@ -44,7 +44,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "evaluate": Verb("learn.evaluate:evaluate", "Compare policies at the test targets.", "sim"),
         "model": Verb("learn.model:model", "Show, compare, check and export models of the robot."),
         "new": Verb("learn.new:new", "Create a plug-in, or the stage file of a rig.", "train"),
-        "dev": Verb("dev:dev", "Tools of softarm's makers; `softarm dev` lists them.", "diagnosis,train,mujoco"),
+        "dev": Verb("dev:dev", "Tools of softarm's makers; `softarm dev` lists them.", "train"),
     },
 }
 EPILOGUE = "\b\nExit codes:\n" + "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXITS.items())
