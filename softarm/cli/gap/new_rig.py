@@ -74,7 +74,8 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat), ROS bags (.mcap, .db3, .bag) or folders of them. Columns,
     units and rates that the recordings show are written with their reason. The rest is asked for, or without a terminal
     taken from the options.
-    With an MJCF or URDF file (.xml, .urdf) among DATA, columns are found by the names of its joints and actuators.
+    With an MJCF or URDF file (.xml, .urdf) among DATA, columns are found by the names of its joints, actuators
+    and position sensors.
 
     \b
     Examples:
@@ -97,8 +98,8 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
         raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
     with waiting("reading the recordings"):
         found = survey([path for path in data if path not in models])
-    joints = _joints(models[0]) if models else ()
-    found = of_joints.named(found, joints)
+    joints, sensors = (_joints(models[0]), _sensors(models[0])) if models else ((), {})
+    found = of_joints.named(found, joints, sensors)
     _show(found)
     if models:
         where, leaders = os.path.relpath(models[0].resolve(), out.parent.resolve()), partial(_leaders, models[0])
@@ -127,6 +128,20 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
         shares = {each: _command_unit(joint, own) for each, own in actuator.shares.items()} if actuator else {}
         found.append(ModelJoint(joint.name, unit, span, name, _command_unit(joint, actuator), shares=shares))
     return tuple(found)
+
+
+def _sensors(path: Path) -> dict[str, str]:
+    """Return the joint, site or body that each of a model's position sensors reads, by the sensor's name."""
+    from softarm.diagnosis.data import mjcf
+
+    mujoco, model = mjcf.load(path)
+    kinds = mujoco.mjtSensor
+    positions = [int(each) for each in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_FRAMEPOS, kinds.mjSENS_FRAMEQUAT)]
+    return {
+        model.sensor(i).name: mujoco.mj_id2name(model, model.sensor_objtype[i], model.sensor_objid[i])
+        for i in range(model.nsensor)
+        if model.sensor(i).name and model.sensor_type[i] in positions and model.sensor_refid[i] < 0
+    }
 
 
 def _command_unit(joint: "Joint", actuator: "Actuator | None") -> str:
