@@ -76,8 +76,13 @@ def setup_of(view: RigView, kinds: Sequence[str], origins: Sequence[int]) -> Set
 def candidate(view: RigView, effect: Effect) -> Candidate:
     """Return an effect of a view as the search moves it."""
     parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
-    far = tuple((u,) for u in view.far_starts.get(effect.name.rpartition(".")[2], ()))
-    return Candidate(effect.name, view.stage, parameters, starts(parameters), far=far)
+    name = effect.name.rpartition(".")[2]
+    far = tuple((u,) for u in view.far_starts.get(name, ()))
+    first = starts(parameters)
+    if name in view.gap_starts:
+        suggested = tuple(map(_within, parameters, view.gap_starts[name]))
+        first = (*first, suggested) if any(map(_beyond_usual, parameters, suggested)) else first
+    return Candidate(effect.name, view.stage, parameters, first, far=far)
 
 
 def _alone(view: RigView, effect: Effect) -> Effect:
@@ -113,10 +118,19 @@ def starts(parameters: Sequence[FittedParameter]) -> tuple[tuple[float, ...], ..
     """Return changes of several sizes, in both directions where the bounds allow; shape parameters keep their value."""
     nominal = tuple(d.nominal for d in parameters)
     moved = [
-        tuple(d.nominal if d.shape else min(max(d.nominal + share * d.size, d.low), d.high) for d in parameters)
+        tuple(d.nominal if d.shape else _within(d, d.nominal + share * d.size) for d in parameters)
         for share in (*_SHARES, *(-s for s in _SHARES))
     ]
     return tuple(u for u in dict.fromkeys(moved) if u != nominal)
+
+
+def _within(parameter: FittedParameter, u: float) -> float:
+    return min(max(u, parameter.low), parameter.high)
+
+
+def _beyond_usual(parameter: FittedParameter, u: float) -> bool:
+    """Return whether a change is larger than every usual initial one."""
+    return abs(u - parameter.nominal) > _SHARES[-1] * parameter.size
 
 
 def _widths(view: RigView) -> dict[str, float]:

@@ -100,6 +100,9 @@ class TrackingView(RigView):
         )
         self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
         self._delayed = lru_cache(64 * len(trials))(self._command)
+        # In recordings at one level a wrong zero may be many times the motion.
+        mean = float(np.nanmean(self.gap([{}])))
+        self.gap_starts = {"sensor_bias": (mean,), "gain": (0.0, mean)}
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

@@ -67,6 +67,7 @@ class RigView:
             (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
         blocks_each: blocks of a stretch that a long recording is cut into to keep the budget.
         far_starts: effect with one parameter -> values far from nominal at which a fit of all effects may begin.
+        gap_starts: effect -> initial values of its parameters that the nominal model's gap suggests.
         shared: effects that change other stages too, so that a best fit of one stage has none of them.
         whole: effects of the whole mechanism; all stages that load the same part have them in one size.
         together: effects of the whole that a stage alone does not determine, so that its search has none of them.
@@ -89,6 +90,7 @@ class RigView:
     blocks_each = 4
     step_cost_s = 0.07e-6
     far_starts: Mapping[str, tuple[float, ...]] = {}
+    gap_starts: Mapping[str, tuple[float, ...]] = {}
     shared: frozenset[str] = frozenset()
     whole: frozenset[str] = frozenset()
     together: tuple[Effect, ...] = ()

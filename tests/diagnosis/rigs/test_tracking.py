@@ -337,6 +337,19 @@ def test_a_delay_and_a_lag_are_as_uncertain_as_the_nominal_lag():
     assert TrackingView(flown({"delay": 0.1}, kinds=("steps",))).model_uncertainty["dead_time.delay"] == 0.0
 
 
+def test_a_zero_wrong_by_many_times_the_motion_is_fitted_as_soon_as_the_gain():
+    """At one level both explain the gap. A zero that began near 0 was still far from its value after a rough fit."""
+    command = 10 + 0.06 * commands()["multisine"]
+    settled = rig(np.append(np.full(100, command[0]), command), {"lag": 0.1})[100:]
+    view = TrackingView([trial(command, settled + 1.0, model={"lag_s": 0.1})])
+    problem = Setup([view], nuisances(view), ["steps"]).weighed()
+    losses = {
+        c.name: min(fit.loss for fit in problem.fit([((c,), (start,)) for start in c.starts], 2))
+        for c in candidates(view)
+    }
+    assert losses["axis.sensor_bias"] < 2 * losses["axis.gain"] < 0.01 * losses["axis.dead_time"]
+
+
 def test_units_follow_the_measured_channel():
     trials = flown({"lag": 0.1}, kinds=TWO)
     for unit, rate, acceleration in (
