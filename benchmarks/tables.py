@@ -1,6 +1,7 @@
 """Tables of the pages, from stored results to Markdown, with targets and the paper's figures next to them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -182,9 +183,11 @@ def bridging(read: Read) -> str:
     for flown in read("bridging")["flights"]:
         counted = f"{flown['reached']}, {flown['stopped']}"
         cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = counted
-    rows = [
-        [body, f"{ms} ms" if ms else "none", *(by_way[way] for way in ways)] for (body, ms), by_way in cells.items()
-    ]
+    rows = []
+    # Neighbouring drop-outs with the same counts share a row.
+    for (body, counted), same in groupby(cells, lambda key: (key[0], [cells[key][way] for way in ways])):
+        lengths = list(dict.fromkeys(f"{ms} ms" if ms else "none" for _, ms in same))
+        rows.append([body, " to ".join((lengths[0], *lengths[1:][-1:])), *counted])
     return markdown(("body", "drop-outs of", *(f"{way}: reached, stopped" for way in ways.values())), rows)
 
 
