@@ -185,9 +185,9 @@ def bridging(read: Read) -> str:
         cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = counted
     rows = []
     # Neighbouring drop-outs with the same counts share a row.
-    for (body, counted), same in groupby(cells, lambda key: (key[0], [cells[key][way] for way in ways])):
-        lengths = list(dict.fromkeys(f"{ms} ms" if ms else "none" for _, ms in same))
-        rows.append([body, " to ".join((lengths[0], *lengths[1:][-1:])), *counted])
+    for (body, counts), same in groupby(cells, lambda key: (key[0], [cells[key][way] for way in ways])):
+        lengths = [f"{ms} ms" if ms else "none" for _, ms in same]
+        rows.append([body, " to ".join((lengths[0], *lengths[1:][-1:])), *counts])
     return markdown(("body", "drop-outs of", *(f"{way}: reached, stopped" for way in ways.values())), rows)
 
 
