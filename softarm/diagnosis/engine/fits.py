@@ -334,10 +334,15 @@ class FitProblem:
         return normal, slope, *self._box(fit.effects, fit.x)
 
     def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
-        """Return the 95 % interval of a fit's parameters, low and high, [p] each; arguments as for `region`."""
+        """Return the 95 % interval of a fit's parameters, low and high, [p] each; arguments as for `region`.
+
+        Of sizes that fit alike next to the nuisances, a fit may state another one than the best of its linearisation.
+        Both are uncertain by as much.
+        """
         x, best, spread = self.region(fit, inexact)
-        half, least = np.sqrt(spread.diagonal()), LEAST_WIDTH * np.array([d.size for d in parameters_of(fit.effects)])
-        return np.minimum(best - half, x - least), np.maximum(best + half, x + least)
+        least = LEAST_WIDTH * np.array([d.size for d in parameters_of(fit.effects)])
+        half = np.maximum(np.sqrt(spread.diagonal()), least)
+        return np.minimum(best, x) - half, np.maximum(best, x) + half
 
     def region(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array, Array]:
         """Return a fit's parameters [p], those of its last linearisation [p], and their covariance, [p, p].

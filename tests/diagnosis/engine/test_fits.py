@@ -251,6 +251,18 @@ def test_no_interval_ends_at_its_own_estimate():
     assert (high > fit.u[0]).all()
 
 
+def test_the_size_that_needs_least_of_a_tolerance_is_as_uncertain_as_the_best_one():
+    """A load within its box resembles the gain, so the two fit alike at several sizes."""
+    loaded = _problem(_Loaded(truth={SCALE: 0.3}), (Nuisance(LOAD, 0.0, -0.2, 0.2), ZERO))
+    fit = _fit(dataclasses.replace(loaded, edge_cost=1000 * EDGE_COST), GAIN)
+    stated, best, spread = loaded.region(fit)
+    low, high = loaded.interval(fit)
+    half = 0.999 * np.sqrt(spread.diagonal())
+    assert abs(best - stated) > 0.1 * half
+    assert (low <= np.minimum(stated, best) - half).all()
+    assert (high >= np.maximum(stated, best) + half).all()
+
+
 def test_a_similar_effect_replaces_an_effect_that_is_left_out():
     droop = candidate("stage.droop.scale", -0.5, 0.5, 0.1)
     view = _View(truth=TRUE)
