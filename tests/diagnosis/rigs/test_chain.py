@@ -305,7 +305,20 @@ def test_the_inertia_is_as_uncertain_as_the_masses():
     angles, _ = Made(TWO).swing(0.3, t)
     still, carried = trial("free", t, angles, TWO), trial("free", t, angles[:, :1], ONE, base=0.01 * np.sin(t))
     assert view([still]).tolerances["inertia.scale"] == view([carried]).tolerances["inertia.scale"] == 0.01
-    assert "inertia.scale" not in view([trial("free", t, angles[:, :1], ONE)]).tolerances  # not observable
+    assert "stiffness.scale" not in view([still]).model_uncertainty
+    alone = view([trial("free", t, angles[:, :1], ONE)])  # shows the ratio of weight and inertia
+    assert "inertia.scale" not in alone.tolerances
+    assert alone.model_uncertainty["stiffness.scale"] == 0.01
+
+
+def test_a_delay_is_as_uncertain_as_a_torque_that_is_held_between_samples():
+    t = np.arange(0, 3, 0.01)
+    torque = tones(5, 2, (0.5, 0.15))
+    angles, _ = Made(TWO, late=0.02).swing(0.2, t, lambda x: torque(np.floor(100 * x + 1e-9) / 100))
+    found = view([trial("tones", t, angles, TWO, np.array([torque(x) for x in t]))])
+    delays = 0.02 + 0.001 * np.arange(10)
+    best = delays[np.argmin(rms(found, [{"dead_time.delay": x} for x in delays]))]
+    assert found.model_uncertainty["dead_time.delay"] == pytest.approx(best - 0.02, abs=0.001) == 0.005
 
 
 def test_bounds_scale_with_the_chain():

@@ -192,6 +192,15 @@ class ChainView(RigView):
         }
 
     @property
+    def model_uncertainty(self) -> Mapping[str, float]:
+        """Uncertainty of a delay, and of a weight that only shows next to the inertia.
+
+        Motors may hold a torque until the next one; the law has it change in between.
+        """
+        found = {"dead_time.delay": 0.5 * self.scales.sample_s}
+        return found if "inertia.scale" in self.tolerances else found | {"stiffness.scale": MASS_SHARE}
+
+    @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """Parts of the data by the size of the swing and the place within it."""
         size = self.features["swing of the trial"]
