@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.shared.console import FILE, FOLDER
 from softarm.cli.shared.errors import failing
 from softarm.common.batch import JobsFailed, Workers, workers_options
 from softarm.common.cluster import ClusterError
@@ -13,8 +14,6 @@ from validation.blind import opening
 from validation.blind import run as running
 from validation.blind.seal import SealError
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
 REFUSALS = SealError, JobsFailed, ClusterError
 labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")
 

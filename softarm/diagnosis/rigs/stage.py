@@ -315,8 +315,7 @@ class _Stage:
         least = min(self.decision.selected, key=lambda effect: gains[effect.candidate.name], default=None)
         if least is None or gains[least.candidate.name] > 0:
             return None
-        fits = self.fit, self.without[least.candidate.name]
-        left, without_it = (self._calibrated(fit).rms[self.view.stage] for fit in fits)
+        left, without_it = self._calibrated_gaps(least.candidate.name)
         return least if left >= without_it else None
 
     def _replaceable(self) -> SelectedEffect | None:
@@ -330,11 +329,15 @@ class _Stage:
             u = self.fit.u[self.fit.names.index(name)]
             sizes = [(d, x) for d, x in zip(effect.candidate.parameters, u, strict=True) if not d.shape]
             if all(abs(x - d.nominal) <= NEAR * d.tolerance for d, x in sizes):
-                fits = self.fit, self.without[name]
-                left, without_it = (self._calibrated(fit).rms[self.view.stage] for fit in fits)
+                left, without_it = self._calibrated_gaps(name)
                 if without_it <= REPLACED * left:
                     return effect
         return None
+
+    def _calibrated_gaps(self, name: str) -> tuple[float, float]:
+        """Return the RMS gap that the calibration leaves beside all named effects, and beside all but one."""
+        left, without_it = (self._calibrated(fit).rms[self.view.stage] for fit in (self.fit, self.without[name]))
+        return left, without_it
 
     def finding(self) -> Finding:
         """Return the complete finding."""
