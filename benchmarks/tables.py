@@ -103,9 +103,6 @@ def all_tests(read: Read) -> str:
         title = "ceiling (open-loop search)" if policy == CEILING else f"`{policy}`"
         cells = [cell(figures[policy].get(column), trials=trials) for column, (_, trials) in _TESTS.items()]
         rows.append([title, str(len(seeds[policy]) or ""), *cells])
-    for policy, shares in HARDWARE.items():
-        cells = [f"{100 * shares[column]:.0f}" if column in shares else "" for column in _TESTS]
-        rows.append([f"{policy}, its hardware", "", *cells])
     return markdown(("policy", "seeds", *(title for title, _ in _TESTS.values())), rows)
 
 
@@ -347,7 +344,15 @@ def rail_limits(read: Read) -> str:
 
 def needs(read: Read) -> str:
     """Return the smallest change of each quantity that reaches each missed target."""
-    return markdown(*needed.lines(read("needs")))
+    found = read("needs")
+    head, rows = needed.lines(found)
+    useful = [row for row in rows if not all(cell.startswith("not by") for cell in row[1:])]
+    useless = [
+        f"- {name} ({now:g} to {most:g} {unit})\n"
+        for name, (unit, now, most) in found["quantities"].items()
+        if all(row["values"][name] is None for row in found["rows"])
+    ]
+    return f"{markdown(head, useful)}\nNo target comes into reach by\n\n{''.join(useless)}"
 
 
 def planning(read: Read) -> str:
