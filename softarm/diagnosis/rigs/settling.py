@@ -1,4 +1,4 @@
-"""Laws and values of the nominal model that a view settles before its search."""
+"""Laws and values of the nominal model that a view settles before its search, or that a search shows."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
+from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG
@@ -21,6 +22,8 @@ SAME = 0.25
 MOST = 0.5
 # Fewest stages that determine a law together.
 STAGES_LEAST = 3
+# A search is repeated around its best fit if tolerated parameters that act linearly leave so many times the loss.
+BENT = 1.5
 
 
 def settled(
@@ -58,6 +61,23 @@ def settled(
             law = chosen_law(losses)
         _use(view, min(law, len(view.laws) - 1))
     return setup(), losses
+
+
+def around_best(found: Examination) -> Setup | None:
+    """Return the problem around the best fit of a search, or None if tolerated parameters act linearly up to there.
+
+    A published viscous friction was usually fitted as the only one. Beside dry friction and drag it vanishes, which its
+    slope at the published value does not show.
+    """
+    problem, fits = found.search.problem, found.search.fitted
+    if not fits:
+        return None
+    best = min(fits, key=lambda fit: fit.loss)
+    beyond = [i for i, (each, u) in enumerate(zip(best.effects, best.u, strict=True)) if each.exceeds_tolerance(u)]
+    if len(beyond) in (0, len(best.effects)):
+        return None
+    linear = problem.part(best, beyond)
+    return found.setup.beside(linear) if linear.loss > BENT * best.loss else None
 
 
 def common_law(losses: Sequence[Sequence[float]]) -> int | None:

@@ -21,6 +21,7 @@ from softarm.diagnosis.engine.decision import Decision, Kind, without
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.fitted import FittedChoice
+from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
@@ -32,7 +33,7 @@ from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.mjcf.view import JointView
-from softarm.diagnosis.rigs.settling import settled
+from softarm.diagnosis.rigs.settling import around_best, settled
 from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView
 from softarm.diagnosis.rigs.views import RigView
@@ -193,7 +194,14 @@ def examine(
     if notes:  # each repeat costs as much as the search
         search = replace(search, restarts=RESTARTS_BOUND)
     thresholds = replace(thresholds, search=search)
-    found = Examination(setup, candidates(view), thresholds, report, partial(widened, view), view.original)
+
+    def examined(problem: Setup) -> Examination:
+        return Examination(problem, candidates(view), thresholds, report, partial(widened, view), view.original)
+
+    found = examined(setup)
+    if not found.choice.chosen.effects and (bent := around_best(found)) is not None:
+        again = examined(bent)
+        found = again if again.choice.chosen.effects else found
     known = [each.named for each in held if each.named is not None]
     fitted: FittedChoice = found
     sized = used

@@ -1,6 +1,7 @@
 """Views of rigs: laws against closed forms, effects against the registry, diagnoses of simulated and real tables."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -237,6 +238,22 @@ def test_large_swings_of_a_real_pendulum_show_dry_friction_and_drag(data):
     drag = next(r for r in diagnosis.rivals if r.name == "joint.drag")
     assert drag.conditional.low > 0.2
     assert any("the model's viscous friction vanishes" in text for text in diagnosis.verdict.warnings)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("late", [False, True])
+def test_either_half_of_every_large_swing_shows_dry_friction_and_drag(data, late):
+    """In the first halves, all above 1 rad, the published viscous friction hid both until it vanished."""
+    trials = shipped("pendulum-single.yaml", data)
+    halves = []
+    for each in trials:
+        rows = each.channels["measured"]
+        kept = (rows.t_s > 0.5 * (rows.t_s[0] + rows.t_s[-1])) == late
+        halves.append(replace(each, channels={**each.channels, "measured": rows.kept(kept)}))
+    verdict, found = named(halves)
+    assert (verdict.verdict, set(found)) == ("named", {"coulomb_friction", "drag"})
+    assert 4e-4 < found["coulomb_friction"]["torque"] < 6.5e-4
+    assert 3e-3 < found["drag"]["coefficient"] < 5e-3
 
 
 @pytest.mark.prove
