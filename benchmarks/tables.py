@@ -174,14 +174,13 @@ def _answered(found: Mapping[str, Any]) -> str:
 
 
 def bridging(read: Read) -> str:
-    """Return flights with dropouts of motion capture, by reaction."""
+    """Return flights with dropouts of motion capture, by reaction; neighbours with the same counts share a row."""
     ways = {"stopped": "none", "held": "last frame held", "bridged": "bridged", "default": "as configured by default"}
     cells: dict[tuple[str, int], dict[str, str]] = {}
     for flown in read("bridging")["flights"]:
         counted = f"{flown['reached']}, {flown['stopped']}"
         cells.setdefault((flown["body"], flown["dropout_ms"]), {})[flown["way"]] = counted
     rows = []
-    # Neighbouring drop-outs with the same counts share a row.
     for (body, counts), same in groupby(cells, lambda key: (key[0], [cells[key][way] for way in ways])):
         lengths = [f"{ms} ms" if ms else "none" for _, ms in same]
         rows.append([body, " to ".join((lengths[0], *lengths[1:][-1:])), *counts])
