@@ -22,7 +22,8 @@ SAME = 0.25
 MOST = 0.5
 # Fewest stages that determine a law together.
 STAGES_LEAST = 3
-# A search is repeated around its best fit if tolerated parameters that act linearly leave so many times the loss.
+# A search is repeated around its best fit if tolerated parameters that act linearly leave so many times the loss, and
+# its answer counts if it leaves at most as much.
 BENT = 1.5
 
 
@@ -63,21 +64,29 @@ def settled(
     return setup(), losses
 
 
-def around_best(found: Examination) -> Setup | None:
-    """Return the problem around the best fit of a search, or None if tolerated parameters act linearly up to there.
+def resumed(found: Examination, examined: Callable[[Setup], Examination]) -> Examination:
+    """Return a search around the best fit of one without an answer if it explains as much, else the first search.
 
     A published viscous friction was usually fitted as the only one. Beside dry friction and drag it vanishes, which its
     slope at the published value does not show.
+
+    Args:
+        found: search with tolerated parameters that act linearly around the nominal model.
+        examined: searches a problem.
     """
     problem, fits = found.search.problem, found.search.fitted
-    if not fits:
-        return None
+    if found.choice.chosen.effects or not fits:
+        return found
     best = min(fits, key=lambda fit: fit.loss)
     beyond = [i for i, (each, u) in enumerate(zip(best.effects, best.u, strict=True)) if each.exceeds_tolerance(u)]
     if len(beyond) in (0, len(best.effects)):
-        return None
+        return found
     linear = problem.part(best, beyond)
-    return found.setup.beside(linear) if linear.loss > BENT * best.loss else None
+    if linear.loss <= BENT * best.loss:
+        return found
+    again = examined(found.setup.beside(linear))
+    chosen = again.choice.chosen
+    return again if chosen.effects and chosen.loss <= BENT * best.loss else found
 
 
 def common_law(losses: Sequence[Sequence[float]]) -> int | None:

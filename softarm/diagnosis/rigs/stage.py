@@ -33,7 +33,7 @@ from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.mjcf.view import JointView
-from softarm.diagnosis.rigs.settling import around_best, settled
+from softarm.diagnosis.rigs.settling import resumed, settled
 from softarm.diagnosis.rigs.subsample import Stretches
 from softarm.diagnosis.rigs.tracking import TrackingView
 from softarm.diagnosis.rigs.views import RigView
@@ -198,10 +198,7 @@ def examine(
     def examined(problem: Setup) -> Examination:
         return Examination(problem, candidates(view), thresholds, report, partial(widened, view), view.original)
 
-    found = examined(setup)
-    if not found.choice.chosen.effects and (bent := around_best(found)) is not None:
-        again = examined(bent)
-        found = again if again.choice.chosen.effects else found
+    found = resumed(examined(setup), examined)
     known = [each.named for each in held if each.named is not None]
     fitted: FittedChoice = found
     sized = used
