@@ -344,14 +344,14 @@ def rail_limits(read: Read) -> str:
 def needs(read: Read) -> str:
     """Return the smallest change of each quantity that reaches each missed target."""
     found = read("needs")
-    head, rows = needed.lines(found)
-    useful = [row for row in rows if not all(cell.startswith("not by") for cell in row[1:])]
-    useless = [
-        f"- {name} ({now:g} to {most:g} {unit})\n"
-        for name, (unit, now, most) in found["quantities"].items()
-        if all(row["values"][name] is None for row in found["rows"])
-    ]
-    return f"{markdown(head, useful)}\nNo target comes into reach by\n\n{''.join(useless)}"
+    useful, useless = dict[str, Any](), list[str]()
+    for name, (unit, now, most) in found["quantities"].items():
+        if any(row["values"][name] is not None for row in found["rows"]):
+            useful[name] = unit, now, most
+        else:
+            useless.append(f"- {name} ({now:g} to {most:g} {unit})\n")
+    table = markdown(*needed.lines({**found, "quantities": useful}))
+    return f"{table}\nNo target comes into reach by\n\n{''.join(useless)}"
 
 
 def planning(read: Read) -> str:
