@@ -98,12 +98,13 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
         raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
     with waiting("reading the recordings"):
         found = survey([path for path in data if path not in models])
-    joints, sensors = (_joints(models[0]), _sensors(models[0])) if models else ((), {})
-    found = of_joints.named(found, joints, sensors)
+    if models:
+        joints, loaded = _joints(models[0]), mjcf.load(models[0])
+        found = of_joints.named(found, joints, _sensors(*loaded))
     _show(found)
     if models:
         where, leaders = os.path.relpath(models[0].resolve(), out.parent.resolve()), partial(_leaders, models[0])
-        known = joints, where, leaders, mjcf.places(*mjcf.load(models[0]))
+        known = joints, where, leaders, mjcf.places(*loaded)
         proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, *known))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))
@@ -130,11 +131,8 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
     return tuple(found)
 
 
-def _sensors(path: Path) -> dict[str, str]:
+def _sensors(mujoco: Any, model: Any) -> dict[str, str]:
     """Return the joint, site or body that each of a model's position sensors reads, by the sensor's name."""
-    from softarm.diagnosis.data import mjcf
-
-    mujoco, model = mjcf.load(path)
     kinds = mujoco.mjtSensor
     positions = [int(each) for each in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_FRAMEPOS, kinds.mjSENS_FRAMEQUAT)]
     return {

@@ -140,10 +140,11 @@ def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
     return (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
 
 
-def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, str] = MappingProxyType({})) -> Survey:
+def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, str]) -> Survey:
     """Return the columns of a model's recordings by the model's names.
 
-    A name may end like a unit: `fl_kn` is no force in kN. A column of a sensor has the name of what the sensor reads.
+    A name may end like a unit: `fl_kn` is no force in kN. A column of a sensor has the name of what the sensor reads;
+    the longest name wins.
 
     Args:
         survey: columns of the recordings.
@@ -151,18 +152,19 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, st
         sensors: joint, site or body that each sensor reads, by the sensor's name.
     """
     names = {name for joint in joints for name in _names(joint)}
-    objects = {_plain(name): read for name, read in sensors.items()}
+    objects = {_plain(name): seen for name, seen in sensors.items()}
 
     def read(signal: Signal) -> Signal:
         source, header = str(signal.source), signal.header
         if header.unit is not None and any(n in _plain(source) and n not in _plain(header.name) for n in names):
             return replace(signal, header=replace(header, name=source, unit=None, quantity=""))
         own = _plain(header.name)
-        for sensor in (name for name in objects if own.startswith(name) and own not in names):
-            part = own.removeprefix(sensor)
-            if not part or _PART.fullmatch(part):
-                return replace(signal, header=replace(header, name=f"{objects[sensor]}_{part}".rstrip("_")))
-        return signal
+        rests = {name: own.removeprefix(name) for name in objects if own.startswith(name) and own not in names}
+        found = [name for name, rest in rests.items() if not rest or _PART.fullmatch(rest)]
+        if not found:
+            return signal
+        sensor = max(found, key=len)
+        return replace(signal, header=replace(header, name=f"{objects[sensor]} {rests[sensor]}".strip()))
 
     return replace(survey, signals=tuple(map(read, survey.signals)))
 

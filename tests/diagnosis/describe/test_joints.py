@@ -215,25 +215,30 @@ def test_a_command_has_the_unit_of_its_actuator(tmp_path, actuator, unit):
     assert yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["grip"]["unit"] == unit
 
 
-def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(tmp_path):
-    """A log of MuJoCo's sensors has their names, which need not contain those of the joints and sites."""
+@pytest.mark.parametrize("encoder", ["encoder_1", "marker_qx"])
+def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(tmp_path, encoder):
+    """A log of MuJoCo's sensors has their names, which need not contain those of the joints and sites.
+
+    A name may begin as another one does.
+    """
     model, out = tmp_path / "arm.xml", tmp_path / "stage.yaml"
     link = '<body pos="0 0 -1"><joint name="{0}" range="-90 90"/><geom size="0.1"/><site name="{0}_mark"/>{1}</body>'
     model.write_text(
         f"<mujoco><worldbody>{link.format('upper', link.format('lower', ''))}</worldbody>"
         '<actuator><position name="servo" joint="upper" kp="20"/></actuator><sensor>'
-        '<jointpos name="encoder_1" joint="upper"/><framepos name="marker" objtype="site" objname="lower_mark"/>'
+        '<framepos name="marker" objtype="site" objname="lower_mark"/>'
+        f'<jointpos name="{encoder}" joint="upper"/>'
         '<framepos name="apart" objtype="site" objname="upper_mark" reftype="site" refname="lower_mark"/>'
         "</sensor></mujoco>"
     )
     t = np.arange(0, 5, 0.02)
     moved = [t, 0.5 * np.sin(t), *(0.5 * np.sin(t - phase) for phase in (0.1, 0.2, 0.3, 0.4, 0.5))]
-    header = "t,servo,encoder_1,marker_x,marker_y,marker_z,apart_x"
+    header = f"t,servo,{encoder},marker_x,marker_y,marker_z,apart_x"
     np.savetxt(tmp_path / "run.csv", np.stack(moved, axis=1), delimiter=",", header=header, comments="")
     result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
     assert out.exists(), result.output
     channels = yaml.safe_load(out.read_text())["channels"]
-    assert {name: use["source"] for name, use in channels["measured"]["columns"].items()} == {"upper": "encoder_1"}
+    assert {name: use["source"] for name, use in channels["measured"]["columns"].items()} == {"upper": encoder}
     assert {name: use["source"] for name, use in channels["mocap"]["columns"].items()} == {
         f"lower_mark_{axis}": f"marker_{axis}" for axis in "xyz"
     }
