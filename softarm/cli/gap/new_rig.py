@@ -75,7 +75,7 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     units and rates that the recordings show are written with their reason. The rest is asked for, or without a terminal
     taken from the options.
     With an MJCF or URDF file (.xml, .urdf) among DATA, columns are found by the names of its joints, actuators
-    and position sensors.
+    and sensors. Torques, such as efforts of joint states, drive the joints without commands.
 
     \b
     Examples:
@@ -131,14 +131,15 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
     return tuple(found)
 
 
-def _sensors(mujoco: Any, model: Any) -> dict[str, str]:
-    """Return the joint, site or body that each of a model's position sensors reads, by the sensor's name."""
+def _sensors(mujoco: Any, model: Any) -> dict[str, tuple[str, str]]:
+    """Return what each sensor of a position or joint torque reads, by its name: an object, and a torque's unit."""
     kinds = mujoco.mjtSensor
-    positions = [int(each) for each in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_FRAMEPOS, kinds.mjSENS_FRAMEQUAT)]
+    units = dict.fromkeys((kinds.mjSENS_JOINTPOS, kinds.mjSENS_FRAMEPOS, kinds.mjSENS_FRAMEQUAT), "")
+    units[kinds.mjSENS_JOINTACTFRC] = "N m"
     return {
-        model.sensor(i).name: mujoco.mj_id2name(model, model.sensor_objtype[i], model.sensor_objid[i])
-        for i in range(model.nsensor)
-        if model.sensor(i).name and model.sensor_type[i] in positions and model.sensor_refid[i] < 0
+        model.sensor(i).name: (mujoco.mj_id2name(model, model.sensor_objtype[i], model.sensor_objid[i]), units[kind])
+        for i, kind in enumerate(map(kinds, model.sensor_type))
+        if model.sensor(i).name and kind in units and model.sensor_refid[i] < 0
     }
 
 

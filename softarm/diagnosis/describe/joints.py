@@ -20,6 +20,7 @@ WIDER, TURNS_RAD = 1.5, 13.0
 FARTHEST_M = 20.0
 OF_MODEL = "of the model"  # note on a unit
 _RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
+TORQUE = {"rad": "N m", "m": "N"}  # unit of a joint -> of its torque
 # Ends of a pose's headers, in letters and digits: a part of the orientation or of the position. With its name before.
 _PART = re.compile(r"(?:quaternion|quat|orientation|rotation|q)(?P<turn>[wxyz])|(?:position|pos|p)?(?P<place>[xyz])")
 _POSE = re.compile(f"(?P<name>.*?)(?:{_PART.pattern})")
@@ -71,9 +72,12 @@ def propose(
     found = _used(draft, joints, _tracked(draft, joints, places), places)
     for name, leader in leaders(found.get("measured", {})).items():
         found.setdefault("base", {})[name] = found["measured"].pop(name)
+        found.get("torque", {}).pop(name, None)
         draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
+    found = {channel: columns for channel, columns in found.items() if columns}
     for joint in joints:
-        if joint.name in found.get("measured", {}) and not joint.actuator:
+        free = not joint.actuator and joint.name not in found.get("torque", {})
+        if free and joint.name in found.get("measured", {}):
             draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
     if not (found.get("measured") or found.get("mocap")):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
@@ -88,34 +92,42 @@ def _used(
 ) -> dict[str, dict[str, Use]]:
     """Return the columns by channel and by the model's name for them.
 
-    Tracked points count if a joint that moves one has no column of its own.
+    A joint's torque counts if its actuators are not commanded. Tracked points count if a joint that moves one has no
+    column of its own.
     """
     found = dict[str, dict[str, Use]]()
-    poses, taken, unseen = _poses(draft, joints), [*tracked.values()], dict[str, Use]()
+    poses, taken, unseen = _poses(draft, joints), [*tracked.values()], dict[str, dict[str, Use]]()
     for joint in joints:
         if joint.name in poses:
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
         signals = [s for s in draft.moving if not s.elements and s not in taken and joint in _owners(s, joints)]
         commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
-        sent = _sent(draft, joint, commands)
+        driven = {"command": _sent(draft, joint, commands)}
+        if not driven["command"]:
+            driven = {"torque": _torque(draft, joint, signals)}
+        driven = {channel: columns for channel, columns in driven.items() if columns}
         measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
         if measured is None:
-            unseen |= sent
+            _add(unseen, driven)
             continue
-        channel = "base" if joint.moved or (joint.actuator and not sent) else "measured"
-        found.setdefault(channel, {})[joint.name] = _use(draft, measured, joint.unit, joint.widest)
-        if sent:
-            found.setdefault("command", {}).update(sent)
+        channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
+        _add(found, {channel: {joint.name: _use(draft, measured, joint.unit, joint.widest)}, **driven})
         if channel == "base" and not joint.moved:
             draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
     carriers = {column for name in tracked for column in places[name.rpartition("_")[0]]}
     if carriers - found.get("measured", {}).keys() - found.get("base", {}).keys():
         found["mocap"] = _coordinates(draft, tracked)
-        found["command"] = {**found.get("command", {}), **unseen}
+        _add(found, unseen)
         if all(places[name.rpartition("_")[0]] for name in tracked):
             draft.notes.append("Tracked points have to be in the model's frame, since none is fixed to its base")
-    return {channel: columns for channel, columns in found.items() if columns}
+    return found
+
+
+def _add(found: dict[str, dict[str, Use]], more: Mapping[str, Mapping[str, Use]]) -> None:
+    """Add columns to the channels found so far."""
+    for channel, columns in more.items():
+        found.setdefault(channel, {}).update(columns)
 
 
 def _sent(draft: Draft, joint: ModelJoint, commands: Sequence[Signal]) -> dict[str, Use]:
@@ -133,6 +145,21 @@ def _sent(draft: Draft, joint: ModelJoint, commands: Sequence[Signal]) -> dict[s
     return {joint.actuator: _use(draft, command, joint.command_unit, joint.widest)}
 
 
+def _torque(draft: Draft, joint: ModelJoint, signals: Sequence[Signal]) -> dict[str, Use]:
+    """Return the column of a joint's torque by the joint's name, measured rather than commanded; signals: its own."""
+    if joint.moved:
+        return {}
+    unit = TORQUE[joint.unit]
+
+    def fits(signal: Signal) -> bool:
+        stated = draft.units.get(signal.label) or signal.header.unit
+        return draft.standard(signal) in ((unit,) if stated else TORQUE.values())
+
+    torques = [s for s in signals if fits(s)]
+    found = _first(draft, [s for s in torques if draft.role(s) != "command"] or torques, ())
+    return {} if found is None else {joint.name: _use(draft, found, unit, math.inf)}
+
+
 def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
     """Return the units that a joint's command cannot have."""
     if joint.command_unit in _RATES:
@@ -140,7 +167,7 @@ def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
     return (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
 
 
-def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, str]) -> Survey:
+def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tuple[str, str]]) -> Survey:
     """Return the columns of a model's recordings by the model's names.
 
     A name may end like a unit: `fl_kn` is no force in kN. A column of a sensor has the name of what the sensor reads;
@@ -149,7 +176,7 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, st
     Args:
         survey: columns of the recordings.
         joints: joints of the model.
-        sensors: joint, site or body that each sensor reads, by the sensor's name.
+        sensors: joint, site or body that each sensor reads, and the unit of a torque or "", by the sensor's name.
     """
     names = {name for joint in joints for name in _names(joint)}
     objects = {_plain(name): seen for name, seen in sensors.items()}
@@ -164,7 +191,9 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, st
         if not found:
             return signal
         sensor = max(found, key=len)
-        return replace(signal, header=replace(header, name=f"{objects[sensor]} {rests[sensor]}".strip()))
+        name, torque = objects[sensor]
+        quantity = torque or header.quantity
+        return replace(signal, header=replace(header, name=f"{name} {rests[sensor]}".strip(), quantity=quantity))
 
     return replace(survey, signals=tuple(map(read, survey.signals)))
 

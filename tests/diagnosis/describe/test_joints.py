@@ -242,3 +242,31 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
     assert {name: use["source"] for name, use in channels["mocap"]["columns"].items()} == {
         f"lower_mark_{axis}": f"marker_{axis}" for axis in "xyz"
     }
+
+
+@pytest.mark.parametrize(
+    ("actuator", "header", "torque"),
+    [
+        ('<position name="servo" joint="upper" kp="20"/>', "upper/position,upper/effort", "upper/effort"),
+        ("", "upper_rad,upper_tau_Nm", "upper_tau_Nm"),
+        ('<motor name="servo" joint="upper"/>', "upper,load_cell", "load_cell"),  # by the name of the model's sensor
+    ],
+)
+def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, header, torque):
+    """A robot's joint states have efforts more often than a log has the commands of its drives."""
+    model, out = tmp_path / "arm.xml", tmp_path / "stage.yaml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="upper" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
+        f"</worldbody><actuator>{actuator}</actuator>"
+        '<sensor><jointactuatorfrc name="load_cell" joint="upper"/></sensor></mujoco>'
+    )
+    t = np.arange(0, 5, 0.02)
+    table = np.stack((t, 0.5 * np.sin(t), np.cos(3 * t)), axis=1)
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=f"t,{header}", comments="")
+    result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    channels = yaml.safe_load(out.read_text())["channels"]
+    assert channels.keys() == {"measured", "torque"}
+    upper = channels["torque"]["columns"]["upper"]
+    assert (upper["source"], upper["unit"].replace(" ", "")) == (torque, "Nm")
+    assert "counts as free" not in out.read_text()
