@@ -112,7 +112,8 @@ class DryveRailAxis:
         self._report: Report | None = None
         # Last known state of the drive.
         self._out_of_operation = True
-        self._loss: str | None = None
+        self._killed: str | None = None  # why this driver has killed the process
+        self._loss = ""
         self._loss_unread = False
         self._ended = asyncio.Event()
         self._stopping = False
@@ -165,7 +166,7 @@ class DryveRailAxis:
         may_move = self._report is not None and not self._report.out_of_operation
         silent_max_s = SILENT_S if may_move else START_S
         if now_ns - self._received_ns > silent_max_s * 1e9:
-            self._loss = f"it sent no report for {silent_max_s} s and was killed"
+            self._killed = f"it sent no report for {silent_max_s} s and was killed"
             self._active.child.kill()
 
     def reset_fault(self) -> None:
@@ -194,6 +195,7 @@ class DryveRailAxis:
         """Let the spare, or else a new process, control the drive."""
         assert self._loop is not None
         self._active, self._spare = self._spare or self._start_process(), None
+        self._ended.clear()
         self._began_ns = self._received_ns = self._clock()
         with contextlib.suppress(OSError):
             self._active.line.send(pair.encode_begin(not self._out_of_operation))
@@ -230,7 +232,7 @@ class DryveRailAxis:
         self._ended.set()
         if self._stopping or self._loop is None:
             return
-        self._loss = self._loss or "by itself"
+        self._loss, self._killed = self._killed or "by itself", None
         log.error("the rail's process ended (%s); a new one stops the drive first", self._loss)
         if self._reading is not None:
             self._reading, self._loss_unread = replace(self._reading, enabled=False, linked=False), True

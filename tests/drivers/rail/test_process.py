@@ -201,6 +201,25 @@ async def test_stopping_disables_the_drive_and_leaves_no_process_even_if_it_hang
     assert gone(process)
 
 
+async def test_stopping_disables_the_drive_after_a_process_was_replaced(moving: Any, until: Any) -> None:
+    drive, axis = moving
+
+    def steer(enable: bool) -> None:
+        axis.write(enable, 0.5)
+        drive.move()
+
+    for end, cause in ((signal.SIGSTOP, "no report"), (signal.SIGKILL, "by itself")):
+        os.kill(axis._active.child.pid, end)
+        await until(lambda: not axis.read().linked, lambda: steer(False))
+        assert cause in axis.problem()
+        await until(lambda: axis.problem() is None and is_off(drive), lambda: steer(False))
+    await until(lambda: drive.target_velocity_m_s, lambda: steer(True))
+    mover = asyncio.create_task(until(lambda: False, drive.move))
+    await axis.stop()
+    mover.cancel()
+    assert is_off(drive)
+
+
 async def test_the_process_is_small_and_imports_little(free_port: int, until: Any, running: Any) -> None:
     axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
     async with running(axis):
