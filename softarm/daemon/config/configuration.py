@@ -107,9 +107,8 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
 
 def _derived(config: Config) -> Iterator[LimitRow]:
     rail, pressure, period_s = config.limits.rail, config.limits.pressure, 1 / config.control.rate_hz
-    speed, hold_s = rail.velocity_max_m_s, config.drivers.rail.hold_s
+    speed, hold_s = rail.velocity_max_m_s + rail.drag_m_s, config.drivers.rail.hold_s
     stopping_m = speed * (rail.latency_s + hold_s) + speed**2 / (2 * rail.braking_m_s2)
-
     step_kpa = pressure.slew_max_kpa_s * period_s
     ticks = math.ceil((pressure.max_kpa - pressure.min_kpa) / step_kpa - 1e-9)
     roles = [role.name.lower() for role, key in TOKEN_FILES.items() if getattr(config.api, key) is not None]
@@ -120,7 +119,7 @@ def _derived(config: Config) -> Iterator[LimitRow]:
     stop_address = f"{config.api.host}:{config.api.stops_at}"
     rows: tuple[tuple[str, float | str, str, str], ...] = (
         ("tick", period_s * 1e3, "ms", "1 / control.rate_hz"),
-        ("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)"),
+        ("stopping distance at full speed", stopping_m, "m", "u (latency + hold) + u^2 / (2 braking), u = v + drag"),
         ("full speed towards +y up to", highest_m, "m", "position_max - margin - stopping distance"),
         ("full speed towards -y down to", lowest_m, "m", "position_min + margin + stopping distance"),
         ("pressure step per tick", step_kpa, "kPa", "slew_max x tick"),

@@ -121,14 +121,15 @@ def test_an_unreadable_file_is_named_with_the_next_step(tmp_path):
 
 
 def test_effective_limits_have_value_bounds_and_source(write):
-    path = write("limits:\n  rail:\n    velocity_max_m_s: 0.5\n    braking_m_s2: 2.5\n    latency_s: 0.1\n")
+    rail = "    velocity_max_m_s: 0.5\n    braking_m_s2: 2.5\n    latency_s: 0.1\n    drag_m_s: 0.1\n"
+    path = write(f"limits:\n  rail:\n{rail}")
     rows = {row.key: row for row in effective_limits(read(path))}
     assert rows["limits.rail.velocity_max_m_s"][1:] == ("0.5", "m/s", "above 0, at most 1 m/s", "line 3")
     assert rows["limits.pressure.max_kpa"][1:] == ("20", "kPa", "above 0, at most 20 kPa", "default")
     in_force = {key.name for key in leaves(Config) if key.path[0] in ("limits", "failsafe", "goals")}
     assert in_force <= rows.keys()
     stopping = rows["stopping distance at full speed"]
-    assert float(stopping.value) == pytest.approx(0.5 * (0.1 + 0.045) + 0.25 / 5, rel=1e-3)
+    assert float(stopping.value) == pytest.approx(0.6 * (0.1 + 0.045) + 0.36 / 5, rel=1e-3)
     assert stopping.source == "derived"
     assert float(rows["pressure step per tick"].value) == pytest.approx(20.7)
 
