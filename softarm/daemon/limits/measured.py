@@ -135,6 +135,9 @@ def _unusable(motion: RailMotion, ramp_m_s2: float) -> str | None:
     scale = float((np.diff(motion.position_m)[moving] @ way[moving]) / (way[moving] @ way[moving]))
     if abs(scale - 1.0) > SCALE_MAX:
         return f"the axis's velocity is {1 / scale:.2g} times the slope of its position: check drivers.rail first"
+    if len(_thinned(motion).t_s) < 2:
+        farthest_m = RAIL_TRAVEL_M - STOP_ROOM_M
+        return f"the cart was never within {farthest_m:g} m of the centre: home the axis, check centre_m"
     return None
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from softarm.daemon.limits.measured import COUNT_MIN, measure, tolerance_bound
 from softarm.schemas.config import Config
+from softarm.schemas.robot import RAIL_TRAVEL_M
 
 CARTS = (
     {},
@@ -66,12 +67,14 @@ def test_a_recording_of_another_ramp_or_of_another_scale_is_left_out_with_the_re
     slow = Config.model_validate({"drivers": {"rail": {"acceleration_m_s2": 4.0}}})
     wrong = replace(motion, velocity_m_s=2.0 * motion.velocity_m_s)
     still = replace(motion, velocity_m_s=0.0 * motion.velocity_m_s)
-    found = measure([motion, replace(motion, config=slow), wrong, still], 6.0)
+    away = replace(motion, position_m=motion.position_m + 1.0)
+    found = measure([motion, replace(motion, config=slow), wrong, still, away], 6.0)
     assert found.recordings == 1
     assert found.left_out == (
         "cart: was recorded with drivers.rail.acceleration_m_s2 4, not 6",
         "cart: the axis's velocity is 2 times the slope of its position: check drivers.rail first",
         "cart: the cart did not move",
+        f"cart: the cart was never within {RAIL_TRAVEL_M - 0.01:g} m of the centre: home the axis, check centre_m",
     )
 
 
