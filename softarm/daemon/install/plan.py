@@ -50,7 +50,7 @@ def unit_text(command: tuple[str, ...], user: str, config: Config) -> str:
     text = _with(_with(text, "User", user), "Group", user)
     if "/ttyUSB" in os.path.realpath(config.drivers.regulator.port):  # a USB adapter instead of a Teensy
         text = text.replace("DeviceAllow=char-ttyACM rw\n", "DeviceAllow=char-ttyACM rw\nDeviceAllow=char-ttyUSB rw\n")
-    for folder in log_folders(config):
+    for folder in written_folders(config):
         if not folder.is_relative_to(STATE):
             text = text.replace(
                 "ProtectSystem=strict\n", f"ProtectSystem=strict\nReadWritePaths={_quoted(str(folder))}\n"
@@ -58,10 +58,15 @@ def unit_text(command: tuple[str, ...], user: str, config: Config) -> str:
     return text
 
 
-def log_folders(config: Config) -> Iterator[Path]:
-    """Yield the folder of the service's logs; a relative recorder.directory is below the state folder."""
+def written_folders(config: Config) -> Iterator[Path]:
+    """Yield the folder of the service's logs, and that of its reports unless it lies in the state folder.
+
+    Relative directories are below the state folder.
+    """
     if config.recorder.enabled:
         yield STATE / config.recorder.directory
+    if not (reports := STATE / config.api.reports).is_relative_to(STATE):
+        yield reports
 
 
 def _with(text: str, key: str, value: str) -> str:
@@ -118,7 +123,7 @@ def install(system: System, command: tuple[str, ...], user: str, wanted: Wanted)
     if system.is_this:
         yield from _user(system, user)
     config = wanted.installed or wanted.config
-    for folder in (STATE, *log_folders(config)):
+    for folder in (STATE, *written_folders(config)):
         if system.is_folder(path := system.place(folder)):
             yield Keep(path, "its content stays")
         else:

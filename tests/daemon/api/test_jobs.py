@@ -147,6 +147,14 @@ def test_a_wrong_job_is_refused_with_the_allowed_values(client):
         assert (answer.status_code, answer.json()["reasons"][0][: len(reason)]) == (status, reason)
 
 
+def test_a_diagnosis_without_a_place_for_its_report_is_refused(client, config):
+    config.api.reports.write_text("a file")
+    answer = client.post("/api/jobs", json={"kind": "diagnose", "logs": ["real.mcap"]})
+    assert answer.status_code == 409
+    (reason,) = answer.json()["reasons"]
+    assert reason.startswith(f"api.reports {config.api.reports}: no report can be written there (File exists); name ")
+
+
 def test_a_verbs_process_has_a_low_priority():
     program = verb_process._PROGRAM.partition("from softarm")[0] + (
         "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"

@@ -120,11 +120,13 @@ def test_the_unit_runs_the_environment_it_is_installed_from_as_the_user():
     assert "%%n" in plan.unit_text(("/opt/%n/softarm",), "ann", Config())
 
 
-def test_the_service_may_write_to_another_log_folder():
-    config = Config(recorder=Recorder(directory=Path("/data/logs")))
-    assert "ReadWritePaths=/data/logs" in plan.unit_text(COMMAND, "softarm", config).splitlines()
+def test_the_service_may_write_to_other_folders_for_logs_and_reports():
+    config = Config(recorder=Recorder(directory=Path("/data/logs")), api=Api(reports=Path("/data/reports")))
+    lines = plan.unit_text(COMMAND, "softarm", config).splitlines()
     done = steps(system(), replace(PACKAGED, config=config))
-    assert Path("/data/logs") in [step.path for step in done if isinstance(step, Folder)]
+    for folder in ("/data/logs", "/data/reports"):
+        assert f"ReadWritePaths={folder}" in lines
+        assert Path(folder) in [step.path for step in done if isinstance(step, Folder)]
 
 
 def test_the_program_is_the_interpreters_script_or_the_module(tmp_path):

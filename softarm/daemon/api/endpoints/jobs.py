@@ -107,7 +107,11 @@ class JobEndpoints:
 
     def _diagnosis(self, logs: tuple[str, ...], report: str) -> Work:
         paths = [str(existing_log(self._logs, name)) for name in logs]
-        self._reports.mkdir(parents=True, exist_ok=True)
+        try:
+            self._reports.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = f"api.reports {self._reports}: no report can be written there ({error.strerror})"
+            raise Refused(409, f"{reason}; name a directory that the daemon's user may write, and restart") from error
         return self._verb("diagnose", *paths, "--report", str(self._reports / report))
 
     def _verb(self, *arguments: str) -> Work:
