@@ -100,8 +100,11 @@ def _check_format(path: Path, software: Mapping[str, str]) -> None:
 
 
 def listing(directory: Path) -> tuple[LogEntry, ...]:
-    """Return the logs of a directory, newest first; none if the directory does not exist."""
-    entries = (_entry(path) for path in directory.glob("*.mcap"))
+    """Return the logs of a directory, newest first; none if the directory does not exist or cannot be read."""
+    try:
+        entries = [_entry(path) for path in directory.glob("*.mcap")]
+    except OSError:
+        return ()
     return tuple(sorted((e for e in entries if e is not None), key=lambda e: (e.modified, e.name), reverse=True))
 
 

@@ -48,12 +48,12 @@ def listen(host: str, port: int, key: str, backlog: int | None) -> socket.socket
         except OSError:
             opened.close()
             raise
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # UnicodeError: of a host name
         where = f"api.host {host}, {key} {port}" if key.startswith("api.") else f"{key} {host}:{port}"
         where = f"{where}: cannot listen there"
-        if error.errno != errno.EADDRINUSE:
-            advice = f"name an address of this machine and a free {key}, above 1023 without root"
-            raise ApiError(f"{where} ({error.strerror}); {advice}") from error
+        if not isinstance(error, OSError) or error.errno != errno.EADDRINUSE:
+            advice = f"name an address of this machine and a free {key}, 1024 to 65535 without root"
+            raise ApiError(f"{where} ({getattr(error, 'strerror', error)}); {advice}") from error
         raise ApiError(
             f"{where}, {holder(port) or 'a program of another user'} does; stop that one (`softarm status` asks a "
             f"daemon), or choose another {key}, 0 for any"

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from softarm.common import files
 from softarm.common.finding import Finding, State, by, graded, ok, problem, warning
 from softarm.daemon.logbook.folder import FREE_MIN_BYTES
 from softarm.schemas.config import Recorder
@@ -37,7 +38,7 @@ class Disk:
 def look(settings: Recorder, logs: Sequence[LogEntry] = (), measured: bool = True) -> Disk:
     """Gather the facts; if `measured`, write a file of 8 MB and delete it."""
     folder = settings.directory.absolute()
-    there = next(each for each in (folder, *folder.parents) if each.exists())
+    there = next(each for each in (folder, *folder.parents) if files.exists(each))
     writable = there.is_dir() and os.access(there, os.W_OK | os.X_OK)
     bounded = settings.keep_mb is not None or settings.keep_days is not None
     sizes = [(each.bytes, each.duration_s) for each in logs if each.duration_s is not None]

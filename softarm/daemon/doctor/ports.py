@@ -26,6 +26,7 @@ CONNECT_S = 1.0
 SLOW_MS = 8.0  # an exchange that takes longer is slower than the loop: docs/reference/wires.md
 SERIAL = ("serial/by-id/*", "ttyACM*", "softarm-regulator")  # under /dev: where a Teensy shows
 ESTABLISHED = "01"
+PORT_MAX = 65535
 TWIN = "start the twin: `softarm twin --config FILE`"
 
 
@@ -74,8 +75,8 @@ def look_axis(host: str, port: int) -> Axis:
     address = f"{host}:{port}"
     try:
         families = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    except OSError as error:
-        return Axis(address, error=error.strerror or str(error))
+    except (OSError, UnicodeError) as error:
+        return Axis(address, error=getattr(error, "strerror", str(error)))
     if any(is_connected(str(where[0]), port) for *_, where in families):
         return Axis(address, held=True)
     begun_s = time.monotonic()
@@ -166,9 +167,13 @@ def listening(config: Config, wires: bool) -> Iterator[Finding]:
     """
     wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
     mocap = config.drivers.mocap
-    zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
-    if wires and mocap.driver == plugged.BUILT_IN and zenoh is not None:
-        wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
+    if wires and mocap.driver == plugged.BUILT_IN:
+        zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
+        if zenoh is not None and int(zenoh[2]) <= PORT_MAX:
+            wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
+        elif zenoh is not None or not re.fullmatch("[a-z-]+/.+", mocap.endpoint):
+            key, allowed = "drivers.mocap.endpoint", f"tcp/HOST:PORT with a port up to {PORT_MAX}"
+            yield problem(key, f"{key} is {mocap.endpoint!r}; allowed {allowed}, e.g. tcp/127.0.0.1:7447")
     for key, host, port in wanted:
         try:
             if port:

@@ -37,9 +37,9 @@ class Client:
         local = self._config.local
         try:
             found = socket.getaddrinfo(self._host, self._config.command_port, socket.AF_INET, socket.SOCK_DGRAM)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             remedy = "use the address of the computer that runs Motive"
-            raise DeviceError(self.place, "find", str(error.strerror), remedy) from None
+            raise DeviceError(self.place, "find", str(getattr(error, "strerror", error)), remedy) from None
         self._server = (str(found[0][4][0]), self._config.command_port)
         self._commands = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -11,6 +11,7 @@ from softarm.daemon.doctor import clocks, disk, scheduling
 from softarm.daemon.doctor.clocks import Clocks
 from softarm.daemon.doctor.disk import Disk
 from softarm.daemon.doctor.scheduling import Scheduling
+from softarm.recordings.log_file import listing
 from softarm.schemas.config import Recorder
 from softarm.schemas.log import LogEntry
 
@@ -97,3 +98,9 @@ def test_a_missing_folder_is_judged_by_its_parent_and_not_created(tmp_path):
 def test_a_folder_that_is_a_file_cannot_be_written(tmp_path):
     (tmp_path / "logs").write_text("")
     assert not disk.look(Recorder(directory=tmp_path / "logs")).writable
+
+
+def test_a_folder_that_the_system_refuses_to_look_at_has_no_logs(tmp_path):
+    refused = tmp_path / ("x" * 300) / "logs"
+    assert listing(refused) == ()
+    assert disk.look(Recorder(directory=refused)).folder == refused
