@@ -79,8 +79,7 @@ class RosNode(ClientThread):
 
     def stop(self) -> None:
         """End the thread, within two seconds even if the router hangs."""
-        self._stopping.set()
-        self._thread.join(STOP_S)
+        self.close(STOP_S)
 
     def _use(self, session: zenoh.Session) -> None:
         ros = self._config.ros

@@ -56,11 +56,11 @@ class ClientThread:
         """Connect in the thread."""
         self._thread.start()
 
-    def close(self) -> None:
-        """Close the session; a process with an open session may never end."""
+    def close(self, wait_s: float | None = None) -> None:
+        """Close the session; a process with an open session may never end. Wait for it, at most `wait_s`."""
         self._stopping.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(wait_s)
 
     def _run(self) -> None:
         session: zenoh.Session | None = None

@@ -237,6 +237,12 @@ def test_a_message_of_another_type_is_refused(router, loop):
     assert loop.taken == []
 
 
+def test_a_node_that_was_not_started_can_be_stopped():
+    """Another part of the daemon may fail to start first."""
+    config = Config.model_validate({"ros": {"router": "tcp/127.0.0.1:7447"}})
+    RosNode(config, None, lambda: None, lambda: None).stop()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_a_goal_and_a_stop_reach_the_daemon(router, tmp_path):
