@@ -73,6 +73,14 @@ def test_lateness_is_a_histogram_of_all_ticks(figures):
     assert samples["softarm_tick_late_seconds_sum"] == pytest.approx(0.0058)
 
 
+def test_a_failed_control_loop_has_no_count_of_ticks(silent):
+    client, loop = silent
+    loop.outputs = Outputs(0, -1, 0, 0, 0, Mode.STOPPED, EStop.ENGAGED)
+    _, samples = parsed(client.get("/metrics").text)
+    assert samples['softarm_mode{mode="stopped"}'] == 1
+    assert "softarm_ticks_total" not in samples
+
+
 def test_before_the_first_tick_the_known_metrics_are_served(silent):
     client, loop = silent
     loop.outputs = None

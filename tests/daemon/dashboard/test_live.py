@@ -195,6 +195,26 @@ def test_a_fault_is_shown_with_the_next_step_and_reset_by_a_button(page, robot, 
     in_mode(page, "disarmed")
 
 
+def test_a_failed_control_loop_keeps_the_charts_and_an_armed_robot_has_notices(page, robot):
+    status = robot.status
+    ticks = """async (status) => {
+        const { History } = await import("/dashboard/link/history.js");
+        const history = new History();
+        for (const tick of [1000, -1]) history.add({ ...status, tick });
+        return history.columns.tick;
+    }"""
+    assert page.evaluate(ticks, status) == [1000]
+    heading = """async (status) => {
+        const { ModeView } = await import("/dashboard/view/mode.js");
+        new ModeView().draw(status);
+        return document.querySelector("#reasons h3").textContent;
+    }"""
+    events = [{"name": "not_recorded", "response": "warn", "text": "the flight is not recorded: free the disk"}]
+    refusing = status | {"events": events, "arming_refusals": ["the flight is not recorded: free the disk"]}
+    assert page.evaluate(heading, refusing | {"mode": "disarmed"}) == "Cannot be armed"
+    assert page.evaluate(heading, refusing | {"mode": "armed"}) == "Notices"
+
+
 def greyed(page) -> bool:
     return all(
         float(page.locator(place).evaluate("(node) => getComputedStyle(node).opacity")) < 0.5

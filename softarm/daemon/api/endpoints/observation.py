@@ -209,8 +209,9 @@ def _tick_families(view: StatusView, outputs: Outputs) -> Iterator[Iterator[str]
     yield _family("mode", "gauge", "1 for the present mode.", _labelled("mode", {m: m is outputs.mode for m in Mode}))
     stops: dict[str, float] = {state: state is outputs.estop for state in EStop}
     yield _family("estop", "gauge", "1 for the present state.", _labelled("state", stops))
-    yield _family("ticks_total", "counter", "Control ticks.", [("", outputs.tick)])
-    yield _family("ticks_missed_total", "counter", "Skipped control ticks.", [("", outputs.missed_total)])
+    if outputs.tick >= 0:  # else the control loop has failed, and its counts are lost
+        yield _family("ticks_total", "counter", "Control ticks.", [("", outputs.tick)])
+        yield _family("ticks_missed_total", "counter", "Skipped control ticks.", [("", outputs.missed_total)])
     yield _family("policy_seconds", "gauge", "Duration of the policy step.", [("", outputs.policy_ns * 1e-9)])
 
 

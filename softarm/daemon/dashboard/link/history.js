@@ -42,9 +42,10 @@ export class History {
     for (const name of NAMES) this.columns[name].push(value(name) ?? null);
   }
 
-  // Add a status; skip a tick that the columns already hold.
+  // Add a status; skip a tick that the columns already hold, and the ticks without a number of a failed control loop.
   add(status) {
     const { tick, time } = this.columns;
+    if (status.tick < 0) return;
     if (tick.length && status.tick <= tick.at(-1)) {
       if (status.tick > tick.at(-1) - 300) return;
       this.clear(); // the daemon was restarted

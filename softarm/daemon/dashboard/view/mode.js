@@ -36,8 +36,7 @@ function reasonsOf(status) {
 }
 
 function titled(status) {
-  if (status.mode === "armed" && status.arming_refusals.length === 0) return "Notices";
-  return status.arming_refusals.length ? "Cannot be armed" : "Notices";
+  return status.mode !== "armed" && status.arming_refusals.length ? "Cannot be armed" : "Notices";
 }
 
 export class ModeView {
