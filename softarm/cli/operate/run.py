@@ -67,7 +67,8 @@ def run(
     leaves("the daemon had not started")
     config = prepared(config_file, wires=not simulated, port=port)
     publisher = None if foxglove is None else _publisher(config, foxglove)
-    devices = simulated_devices(flown_model(model_file)) if simulated else real_devices(config)
+    hold_s = config.drivers.rail.hold_s
+    devices = simulated_devices(flown_model(model_file), hold_s) if simulated else real_devices(config)
     ended = assembly.run(config, devices, partial(announce, to_open=to_open), foxglove=publisher)
     if ended == signal.SIGINT:
         raise KeyboardInterrupt

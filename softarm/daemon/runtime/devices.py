@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 
 from softarm.drivers.base import Device, MocapSource, PressureRegulator, RailAxis
-from softarm.schemas.config import Config, Mocap
+from softarm.schemas.config import Config, DryveRail, Mocap
 from softarm.schemas.model import Model
 
 
@@ -45,10 +45,15 @@ def motion_capture(config: Mocap) -> MocapSource:
     return ZenohMocapSource(config)
 
 
-def simulated_devices(model: Model | None = None) -> Devices:
-    """Return a robot simulated in this process, which moves in real time from now on. Needs the extra `sim`."""
+def simulated_devices(model: Model | None = None, hold_s: float = DryveRail().hold_s) -> Devices:
+    """Return a robot simulated in this process, which moves in real time from now on. Needs the extra `sim`.
+
+    Args:
+        model: model of the robot; the nominal one by default.
+        hold_s: `drivers.rail.hold_s`, after which a set-point of the rail expires.
+    """
     from softarm.drivers.bodies.in_process import InProcessRobot
     from softarm.drivers.bodies.simulated import SimulatedBody
 
-    robot = InProcessRobot(SimulatedBody(model), time.monotonic_ns())
+    robot = InProcessRobot(SimulatedBody(model), time.monotonic_ns(), hold_s)
     return Devices(robot.mocap, robot.regulator, robot.rail, simulated=True)
