@@ -200,14 +200,22 @@ def _bound(host: str, port: int) -> socket.socket:
     return made
 
 
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) < 65535):
+        raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT; e.g. 127.0.0.1:1510")
+    return host, int(port)
+
+
 def main() -> None:
     """Stream the twin's frames until SIGINT or SIGTERM."""
     parser = argparse.ArgumentParser(description="Stream the twin's frames as OptiTrack's Motive does.")
     add = parser.add_argument
     add("--listen", default="tcp/127.0.0.1:7448", help="Zenoh endpoint to listen at; the twin connects to it")
-    add("--serve", default="127.0.0.1:1510", help="HOST:PORT of the command socket; the data socket has the next port")
+    serves = "HOST:PORT of the command socket; the data socket has the next port"
+    add("--serve", default="127.0.0.1:1510", type=_address, help=serves)
     options = parser.parse_args()
-    host, _, port = options.serve.partition(":")
+    host, port = options.serve
     # Before any thread starts: a real camera system is not delayed by programs on this computer.
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
@@ -217,7 +225,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     # A clock that is 30 ppm fast.
-    motive = Motive(host=host, port=int(port), data_port=int(port) + 1, rate=1 + 30e-6)
+    motive = Motive(host=host, port=port, data_port=port + 1, rate=1 + 30e-6)
 
     def show(sample: zenoh.Sample) -> None:
         seen = payload.decode(sample.payload.to_bytes(), time.monotonic_ns())
@@ -228,7 +236,7 @@ def main() -> None:
 
     with motive, zenoh.open(listener(options.listen)) as session:
         session.declare_subscriber(Mocap().key, show)
-        print(f"NatNet server at {options.serve}, frames from {options.listen}", flush=True)
+        print(f"NatNet server at {host}:{port}, frames from {options.listen}", flush=True)
         print(f"bridge.yaml for this server: room: {room.model_dump_json()}", flush=True)
         ended.wait()
 

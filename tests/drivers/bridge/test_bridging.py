@@ -207,3 +207,11 @@ def test_a_missing_name_is_reported_and_requested_again(scripted: Any) -> None:
     assert bridging.status().problem == line
     inlet.conversation.ids = dict(IDS)
     assert run(2.0) == ["link5 is tracked again, after 2.0 s", "frames arrive"]
+
+
+@pytest.mark.parametrize("text", ["127.0.0.1", ":1510", "127.0.0.1:65535", "127.0.0.1:x"])
+def test_the_emulator_refuses_an_address_without_host_or_port(monkeypatch, capsys, text):
+    monkeypatch.setattr("sys.argv", ["motive", "--serve", text])
+    with pytest.raises(SystemExit):
+        motive.main()
+    assert f"{text!r} is no HOST:PORT; e.g. 127.0.0.1:1510" in capsys.readouterr().err
