@@ -99,11 +99,12 @@ class Quantity:
         unit = "" if self.unit == PURE else f" {self.unit}"
         match math.isfinite(self.low), math.isfinite(self.high):
             case True, True:
-                text = f"{low}, at most {high}" if self.above else f"{low} to {high}"
+                at_most = high if self.below else f"at most {high}"
+                text = f"{low}, {at_most}" if self.above else f"{low} to {high}"
             case True, False:
                 text = low if self.above else f"{low} or more"
             case False, True:
-                text = f"at most {high}"
+                text = high if self.below else f"at most {high}"
             case _:
                 return ""
         outside = self.also is not None and not self.low <= self.also <= self.high

@@ -64,6 +64,11 @@ def test_allowed_values_are_within_the_bounds(low, high, above, below, number):
         assert allowed.admits(number) == within
 
 
+def test_excluded_bounds_are_said_to_be_excluded():
+    assert Quantity(low=0.0, high=1.0, above=True, below=True).bounds == "above 0, below 1"
+    assert Quantity(high=1.0, below=True).bounds == "below 1"
+
+
 def test_a_unit_is_in_the_table_once():
     names = [name for unit, others in UNITS.items() for name in (unit, *others)]
     assert len(names) == len(set(names))
