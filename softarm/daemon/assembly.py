@@ -36,7 +36,7 @@ LOADING_S = 120.0  # trial and loading together: a policy may hang even after it
 POLL_S = 0.05
 
 
-def first_policy(config: Config, over: threading.Event, loading_s: float = LOADING_S) -> Policy | None:
+def first_policy(config: Config, over: threading.Event) -> Policy | None:
     """Return the configured policy, or None if `over` was set before it was loaded.
 
     A loading thread that is abandoned is left behind.
@@ -49,19 +49,19 @@ def first_policy(config: Config, over: threading.Event, loading_s: float = LOADI
 
     def load() -> None:
         try:
-            answer.set_result(trial.load(name, config.policies, min(trial.TRIAL_S, loading_s)))
+            answer.set_result(trial.load(name, config.policies, trial.TRIAL_S))
         except PolicyError as error:
             answer.set_exception(error)
         except BaseException as error:  # including sys.exit() in a plug-in
             answer.set_exception(PolicyError(f"{type(error).__name__}: {error}"))
 
     threading.Thread(target=load, name=f"loading {name}", daemon=True).start()
-    deadline_s = time.monotonic() + loading_s
+    deadline_s = time.monotonic() + LOADING_S
     while not wait((answer,), POLL_S).done:
         if over.is_set():
             return None
         if time.monotonic() > deadline_s:
-            raise PolicyError(f"policy '{name}': was not loaded within {loading_s:g} s; repair it or choose another")
+            raise PolicyError(f"policy '{name}': was not loaded within {LOADING_S:g} s; repair it or choose another")
     return answer.result()
 
 

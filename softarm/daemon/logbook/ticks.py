@@ -9,11 +9,9 @@ from typing import Any, BinaryIO
 
 from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, Tick, TickTiming
-from softarm.daemon.logbook import ticks
 from softarm.policies.base import PolicySpec
 from softarm.recordings.live import EVENT, MOCAP, PRESSURE, RAIL, LiveFile, LogChannel, LogMessage
 from softarm.schemas import log
-from softarm.schemas import log as names
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
@@ -156,8 +154,8 @@ class TickFile(LiveFile):
     """Live file of ticks with the metadata that a reader needs."""
 
     def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file, ticks.CHANNELS)
-        self._splitter = ticks.Splitter()
+        super().__init__(file, CHANNELS)
+        self._splitter = Splitter()
 
     def head(
         self,
@@ -168,11 +166,11 @@ class TickFile(LiveFile):
         run: Mapping[str, str] | None = None,
     ) -> None:
         """Write the log's metadata: configuration, software, clocks, run and policy."""
-        self.note(names.CONFIGURATION, {"json": config.model_dump_json()})
-        self.note(names.SOFTWARE, {**revision.software(PACKAGES), names.FORMAT_KEY: str(names.FORMAT)})
-        self.note(names.MACHINE, revision.machine())
+        self.note(log.CONFIGURATION, {"json": config.model_dump_json()})
+        self.note(log.SOFTWARE, {**revision.software(PACKAGES), log.FORMAT_KEY: str(log.FORMAT)})
+        self.note(log.MACHINE, revision.machine())
         self.note(
-            names.CLOCK,
+            log.CLOCK,
             {
                 "monotonic_ns": str(monotonic_ns),
                 "wall_ns": str(wall_ns),
@@ -180,7 +178,7 @@ class TickFile(LiveFile):
             },
         )
         if run is not None:
-            self.note(names.RUN, run)
+            self.note(log.RUN, run)
         if policy is not None:
             self.policy(policy)
         self.flush()
@@ -198,4 +196,4 @@ class TickFile(LiveFile):
 
     def policy(self, spec: PolicySpec) -> None:
         """Note the policy of the following ticks."""
-        self.note(names.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""})
+        self.note(log.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""})

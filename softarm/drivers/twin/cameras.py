@@ -36,7 +36,6 @@ class TwinState:
     vented: bool
     vented_since_ns: int | None
     drive: str
-    out_of_operation_since_ns: int | None
     braked_since_ns: int | None
     halted_after_s: float | None
     cart_max_abs_m: float

@@ -108,7 +108,7 @@ class Twin:
         self._server = DryveServer(drivers.rail.host, drivers.rail.port, self.dryve, self.faults, self._device_clock)
         self._cameras = Cameras(drivers.mocap, self.faults)
         self._ends = EndStops(self._body.travel_m)
-        self._vented, self._off, self._braked = Since(), Since(), Since()
+        self._vented, self._braked = Since(), Since()
         self._task: asyncio.Task[None] | None = None
         self.state = self._observe(clock())
 
@@ -188,7 +188,6 @@ class Twin:
             vented=vented,
             vented_since_ns=self._vented.update(vented, now_ns),
             drive=drive.state.value,
-            out_of_operation_since_ns=self._off.update(not drive.in_operation, now_ns),
             braked_since_ns=self._braked.update(abs(truth.cart_velocity_m_s) < BRAKED_M_S, now_ns),
             halted_after_s=None
             if drive.moved_ns is None or drive.halted_ns is None

@@ -86,8 +86,6 @@ const HERE = [
   [/`softarm policy use NAME`, or Policies on the dashboard/g, "under Policies"],
   [/`softarm goal cancel`, or Cancel goal on the dashboard/g, "press Cancel goal"],
   [/GET \/api\/policies lists/g, "Policies lists"],
-  [/see GET \/api\/health; /g, ""],
-  [/POST \/api\/arm/g, "press Arm"],
 ];
 export const worded = (text) => HERE.reduce((worded, [request, button]) => worded.replace(request, button), text);
 // Capitalise the first letter, unless the text starts with a key of the API.
