@@ -101,7 +101,7 @@ prove_matrix = $(BIN)/python -m validation.matrix --json $(RESULTS)/matrix.json
 prove_mutants = $(BIN)/python -m validation.mutants $(MUTANTS)
 prove_fuzz = $(BIN)/python -m validation.fuzz --minutes $(FUZZ_MINUTES)
 prove_api = $(BIN)/python -m validation.api --examples $(API_EXAMPLES)
-prove_soak = $(BIN)/softarm dev soak --hours $(SOAK_HOURS) --lockstep-days $(LOCKSTEP_DAYS) --allow-undecided
+prove_soak = $(BIN)/python -m validation.soak --hours $(SOAK_HOURS) --lockstep-days $(LOCKSTEP_DAYS) --allow-undecided
 PROVE := tests realtime adversary adversary-tick matrix mutants fuzz api soak
 
 .PHONY: $(PROVE:%=prove-%)

@@ -10,9 +10,9 @@ from unittest import mock
 
 from softarm.common.revision import CHECKOUT
 from softarm.drivers.rail import process as rail_process
-from softarm.evaluation.soak import growth
 from softarm.evaluation.software_in_the_loop import POLL_S, SoftwareInTheLoop, SoftwareInTheLoopError
 from validation.matrix.faulty_policies import PLUGINS
+from validation.soak import growth
 
 
 class SimulatedDaemon(SoftwareInTheLoop):

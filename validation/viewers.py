@@ -31,9 +31,9 @@ from benchmarks.loop import Window, bare_loop, beside, figures, run_async, swing
 from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
-from softarm.evaluation.soak import growth
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from validation.daemon_process import SimulatedDaemon
+from validation.soak import growth
 
 READY_S = 60.0
 RECENT_EVERY_S = 5.0

@@ -57,7 +57,7 @@ def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatc
 
 def test_tools_of_makers_are_listed_below_dev_alone():
     first, below = invoke("--help").output, invoke("dev", "--help").output
-    for name in ("export", "plan", "soak"):
+    for name in ("export", "plan"):
         assert f"\n  {name} " in below
         assert f"\n  {name} " not in first
 

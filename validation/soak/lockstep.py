@@ -14,13 +14,13 @@ import numpy as np
 
 from softarm.daemon.control.records import EStop, Mode, Outputs, Request
 from softarm.daemon.runtime.offline import Lockstep
-from softarm.evaluation.soak import growth, realtime
-from softarm.evaluation.soak.clients import Unexpected
-from softarm.evaluation.soak.growth import Slope, slope
 from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.robot import CONTROL_RATE_HZ
+from validation.soak import growth, realtime
+from validation.soak.clients import Unexpected
+from validation.soak.growth import Slope, slope
 
 DAY_TICKS = 86_400 * CONTROL_RATE_HZ
 SAMPLES = 400  # per run, at least EVERY_TICKS apart

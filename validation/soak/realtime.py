@@ -15,10 +15,10 @@ import zenoh
 
 from softarm.drivers.mocap import zenoh_session
 from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
-from softarm.evaluation.soak import growth
-from softarm.evaluation.soak.clients import Act, Hammer, Script, Unexpected
-from softarm.evaluation.soak.growth import Slope, Statistic, slope
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
+from validation.soak import growth
+from validation.soak.clients import Act, Hammer, Script, Unexpected
+from validation.soak.growth import Slope, Statistic, slope
 
 LOOK_S = 0.1  # between two reads of the status
 SAMPLES = 1000  # per run, at least 1 s apart

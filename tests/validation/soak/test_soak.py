@@ -5,11 +5,11 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from softarm.cli.main import main
-from softarm.evaluation.soak import lockstep, page, realtime
-from softarm.evaluation.soak.clients import Unexpected
 from softarm.policies.hold import Hold
 from softarm.policies.pid import Pid
+from validation.soak import lockstep, page, realtime
+from validation.soak.__main__ import main
+from validation.soak.clients import Unexpected
 
 DAYS = 0.5 / 24 / 60  # half a minute
 
@@ -50,13 +50,13 @@ def test_a_stop_is_reported_with_its_log():
 
 def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     kept = tmp_path / "soak.json"
-    short = ["dev", "soak", "--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
+    short = ["--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
     assert CliRunner().invoke(main, [*short, "--allow-undecided"]).exit_code == 0
     done = CliRunner().invoke(main, short)
     assert done.exit_code == 1
     assert "too short to decide" in done.output
     assert json.loads(kept.read_text())["real_time"] is None
-    assert CliRunner().invoke(main, ["dev", "soak", "--hours", "0"]).exit_code == 2
+    assert CliRunner().invoke(main, ["--hours", "0"]).exit_code == 2
 
 
 @pytest.mark.prove

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from softarm.evaluation.soak import growth
-from softarm.evaluation.soak.growth import Slope, judge, slope
+from validation.soak import growth
+from validation.soak.growth import Slope, judge, slope
 
 # A process of its own: in one that has run other tests the system takes back and gives again what it likes.
 GROWS = """

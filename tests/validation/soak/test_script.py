@@ -6,7 +6,7 @@ import pytest
 
 from softarm.daemon.control.failsafe import TABLE
 from softarm.drivers.twin.faults import Faults
-from softarm.evaluation.soak.clients import AFTERMATH_S, FAULTS, REQUEST_S, Script
+from validation.soak.clients import AFTERMATH_S, FAULTS, REQUEST_S, Script
 
 NEVER = 1e9
 

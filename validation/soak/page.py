@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from softarm.evaluation.soak import lockstep, realtime
-from softarm.evaluation.soak.clients import Unexpected
-from softarm.evaluation.soak.growth import Slope, judge, warm_up
 from softarm.reporting import charts
 from softarm.reporting.document import Section, document
 from softarm.reporting.markup import Html, el, join, table, tiles
+from validation.soak import lockstep, realtime
+from validation.soak.clients import Unexpected
+from validation.soak.growth import Slope, judge, warm_up
 
 NAMES = {
     "memory_mb": "memory (MB)",
@@ -56,7 +56,7 @@ def html(real: realtime.Soaked | None, stepped: lockstep.Stepped | None, command
     if stepped is not None:
         facts = [("simulated days", f"{stepped.days:.2f}")]
         sections.append(Section("In lockstep", "lockstep", _figures(stepped, facts, "simulated day", stepped.days)))
-    return document("Soak", "softarm dev soak", join(lead), sections)
+    return document("Soak", "python -m validation.soak", join(lead), sections)
 
 
 def _plain(soaked: realtime.Soaked | lockstep.Stepped) -> dict[str, Any]:
