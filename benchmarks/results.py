@@ -61,13 +61,27 @@ _WIRES = (
 )
 _API = ("softarm/daemon/access", "softarm/daemon/api")
 _SIMULATOR = ("softarm/simulator", "softarm/schemas/model.py", "softarm/schemas/robot.py")
-_FLIGHTS = (*_CONTROL, *_SIMULATOR, "softarm/drivers/bodies", "softarm/evaluation", "softarm/policies")
+_EVALUATED = "faults", "robots", "runner", "software_in_the_loop", "table", "tests", "through_source"
+_FLOWN = "base.py", "mppi", "onnx_graph.py", "onnx_policy.py", "pid.py", "plans.py", "runner.py", "trajectory.py"
+_FLIGHTS = (
+    *_CONTROL,
+    *_SIMULATOR,
+    "softarm/drivers/bodies",
+    *(f"softarm/evaluation/{name}.py" for name in _EVALUATED),
+    *(f"softarm/policies/{name}" for name in (*_FLOWN, "models")),
+)
 _TASK = (*_SIMULATOR, "softarm/common/braking.py", "softarm/training/task")
 _TRAINED = "learn", "record/checkpoint.py", "run/recipe.py", "run/session.py"
 _TRAINING = (*_TASK, *(f"softarm/training/{name}" for name in _TRAINED))
 _PLANNING = (*_TASK, "softarm/training/trajectory")
 _ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engine", "diagnose.py"))
-_DIAGNOSIS = (*_SIMULATOR, *_ENGINE, "softarm/diagnosis/robot")  # of the soft arm
+# Of the soft arm, whose recordings are read by these modules alone.
+_READ = "bags", "checks", "folder", "instants", "mcap", "read", "table_files", "trials"
+_DIAGNOSIS = (
+    *_SIMULATOR,
+    *(f"softarm/diagnosis/data/{name}.py" for name in _READ),
+    *(f"softarm/diagnosis/{name}" for name in ("answer", "diagnose.py", "engine", "robot")),
+)
 _ROBOT = "devices", "parameters", "plant", "record", "robot", "sensors"
 _REALITY = tuple(f"softarm/reality/{name}.py" for name in _ROBOT)  # the independent soft arm
 _BLIND = (*_DIAGNOSIS, "validation/blind", *_REALITY)
@@ -87,6 +101,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "closing": (
         *_FLIGHTS,
         *_DIAGNOSIS,
+        "softarm/evaluation/closing",
         "softarm/schemas/verdict.py",
         *_REALITY,
         "softarm/training",
