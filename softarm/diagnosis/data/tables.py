@@ -65,6 +65,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
                 if not mistakes:
                     own = checked.setdefault(stage_of([trial]).name, [])
                     own.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
+    refuse_two_models(trial for own in checked.values() for trial, _ in own)
     trials: list[Trial] = []
     for own in checked.values():
         kept, mistakes = still_checks.moving(own)
@@ -76,6 +77,22 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
             shown.append(f"{path}: and {more} more; correct these first")
         raise TrialError("\n".join(shown))
     return tuple(trials)
+
+
+def refuse_two_models(trials: Iterable[Trial]) -> None:
+    """Raise TrialError if stages with one name have different nominal models."""
+    first: dict[str, Trial] = {}
+    for trial in trials:
+        stage, other = stage_of([trial]), first.setdefault(stage_of([trial]).name, trial)
+        own, model = ({"kind": each.kind, **each.model, "effects": each.effects} for each in (stage, stage_of([other])))
+        if differing := [key for key in {**model, **own} if model.get(key) != own.get(key)]:
+            key = differing[0]
+            remedy = "rename the joint in one model" if stage.kind == "mujoco" else "give one another `name`"
+            raise TrialError(
+                f"{other.source} and {trial.source}: both record a stage {stage.name}, but {key} of the nominal model "
+                f"is {model.get(key)} and {own.get(key)}; allowed is one model for each name; {remedy}, or describe "
+                "and diagnose each alone"
+            )
 
 
 def _refuse_unknown_effects(path: Path, stages: Sequence[Stage]) -> None:

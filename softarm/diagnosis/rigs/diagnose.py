@@ -8,6 +8,7 @@ from functools import partial
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of
+from softarm.diagnosis.data.tables import refuse_two_models
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
@@ -47,9 +48,10 @@ def diagnose_table(
             effect that stages share takes about as much again.
 
     Raises:
-        TrialError: if a trial lacks a column, or its model a value.
+        TrialError: if a trial lacks a column, or its model a value, or two models have stages with one name.
     """
     started = time.monotonic()
+    refuse_two_models(trials)
     own: dict[str, list[Trial]] = {}
     for trial in trials:
         own.setdefault(stage_of([trial]).name, []).append(trial)

@@ -137,6 +137,26 @@ def test_one_file_may_describe_several_mechanisms(tmp_path):
     assert_valid(tilt)
 
 
+ARMS = """
+mechanisms:
+  left:
+    kind: mujoco
+    channels: {measured: {time: {source: t, unit: s}, columns: {elbow: {source: u, unit: rad}}}}
+    model: {mjcf: left.xml}
+  right:
+    kind: mujoco
+    channels: {measured: {time: {source: t, unit: s}, columns: {elbow: {source: y, unit: rad}}}}
+    model: {mjcf: right.xml}
+trials:
+  - {name: one, kind: sine, files: data.csv}
+"""
+
+
+def test_joints_with_one_name_need_one_model(tmp_path):
+    with pytest.raises(TrialError, match=r"a stage elbow, but mjcf .*left.xml and .*right.xml; .*; rename the joint"):
+        read(tmp_path, table(), stage=ARMS)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -2,11 +2,12 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import Series, TableStage
+from softarm.diagnosis.data.trials import Series, TableStage, TrialError
 from softarm.diagnosis.engine.problem import Setup, interleaved
 from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.chain.model import chain_of
@@ -99,6 +100,12 @@ def test_effects_of_a_rig_never_speak_of_the_soft_arm():
         texts = [effect.meaning, *(p.meaning for p in effect.parameters), *effect.separated_by.values()]
         words = set(re.findall(r"[a-z]+", " ".join(texts).lower()))
         assert not words & {"cart", "regulator", "muscle", "mocap", "pose", "poses", "tip"}, effect.name
+
+
+def test_stages_with_one_name_need_one_model():
+    one, other = (replace(cart({"mass_kg": mass}), source=Path(f"{mass}.csv")) for mass in (2.0, 3.0))
+    with pytest.raises(TrialError, match=r"^2.0.csv and 3.0.csv: .* cart, but mass_kg .* 2.0 and 3.0; .* `name`"):
+        diagnose_table([one, other])
 
 
 def test_a_warning_of_several_stages_is_given_once():
