@@ -207,14 +207,19 @@ def _complaint(key: ModelKey, value: object, links: int) -> str:
     if not isinstance(value, list | tuple):
         if key.name == "gain" and value == 0:
             return "is 0, so nothing would move; write the value that is reached per unit of the command"
-        return "" if key.takes(value) else key.complaint(value)
-    if key.each == "one":
+        if not key.takes(value):
+            return key.complaint(value)
+        if key.each == "one" or key.default is not None:
+            return ""
+        value = [value]
+    elif key.each == "one":
         return f"is a list; allowed one number, {key}; write one"
     if bad := next((each for each in value if not key.takes(each)), None):
         return key.complaint(bad)
     least = links - 1 if key.name == "length_m" else links
     if not least <= len(value) <= links and not (len(value) == 1 and key.default is not None):
-        return f"has {len(value)} numbers, the stage has {links} links; write one for each, or correct `links`"
+        count = f"{len(value)} number{'s' * (len(value) != 1)}"
+        return f"has {count}, the stage has {links} links; write a list with one for each, or correct `links`"
     return ""
 
 
