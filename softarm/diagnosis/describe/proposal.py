@@ -1,6 +1,5 @@
 """Proposal of a stage file: what the recordings show, what the user has answered, and what is still unknown."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -8,12 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from softarm.common.quantity import PURE, UNITS, factor
+from softarm.common.quantity import UNITS, factor
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data.table_checks import ALIKE, upright_shift
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe import clocks, headers
 from softarm.diagnosis.describe.clocks import Clock
+from softarm.diagnosis.describe.columns import DRIVES, likely_unit, links_of, name_of, natural
 from softarm.diagnosis.describe.survey import Signal, Survey
 from softarm.schemas.stage_model import DESCRIBED, MODEL_KEYS, ModelValue, StageKind, complaints
 
@@ -21,7 +21,6 @@ Angles = Literal["absolute", "relative"]
 # Least correlation of a command and the column that follows it.
 FOLLOWS = 0.6
 _PLACES = ("m", "rad", "counts")
-_DRIVES = {"N": "force", "N m": "force", "A": "current", "V": "voltage"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,7 +192,7 @@ class Draft:
             return "driven_mass", f"{torque.label} is a torque, and there is one angle", True
         if place and (push := first(signals, "N", "A")) and not commands:
             return "driven_mass", f"{push.label} moves {place.label}", True
-        if place and (push := first(signals, *_DRIVES)):
+        if place and (push := first(signals, *DRIVES)):
             return "driven_mass", f"{push.label} moves {place.label}", False
         if angles and not commands and all(found[s.label] in ("rad", "rad/s") for s in signals):
             one = len(angles) == 1
@@ -227,7 +226,7 @@ class Draft:
                 f"{path}: a tracking rig needs a command and an output that move; moving: "
                 f"{', '.join(s.label for s in self.moving) or 'none'}, constant: {still}; name other recordings"
             )
-        command = [self._named(text, "--command") for text in given.command[:1]]
+        command = [self._named(text, "--command") for text in given.command]
         measured = [self._named(text, "--measured") for text in given.measured]
         rest = [s for s in self.moving if s not in measured]
         likely = [s for s in rest if self.role(s) == "command"]
@@ -279,11 +278,11 @@ class Draft:
         given = self.answers
         places = _PLACES if kind == "driven_mass" else ("rad",)
         found = sorted(
-            (s for s in self.moving if self.standard(s) in (*places, *(f"{p}/s" for p in places))), key=_natural
+            (s for s in self.moving if self.standard(s) in (*places, *(f"{p}/s" for p in places))), key=natural
         )
         measured = [self._named(text, "--measured") for text in given.measured]
         drive = "force" if kind == "driven_mass" else "torque"
-        pushes = [s for s in self.moving if self.standard(s) in (_DRIVES if kind == "driven_mass" else ("N m",))]
+        pushes = [s for s in self.moving if self.standard(s) in (DRIVES if kind == "driven_mass" else ("N m",))]
         rest = [s for s in self.moving if s not in measured]
         if not measured:
             measured = [s for s in found if self.role(s) != "command"] or found
@@ -298,7 +297,7 @@ class Draft:
             by_role = [[s for s in pushes if self.role(s) == role] for role in ("measured", "command", "")]
             command = command or next((some for some in (*by_role, pushes) if len(some) == count), [])
             if command:
-                chosen = {drive: sorted(command, key=_natural) if not given.command else command, **chosen}
+                chosen = {drive: sorted(command, key=natural) if not given.command else command, **chosen}
             elif kind == "driven_mass" or pushes:
                 raise Unknown(_choice("--command", f"column of the {drive}", rest, pushes))
         if kind != "driven_mass":
@@ -311,7 +310,7 @@ class Draft:
         """Return the columns without a unit that are the slopes of angles."""
         units = {s.label: (unit, "") for s in places if (unit := self.units.get(s.label) or s.header.unit)}
         rest = [s for s in self.moving if s not in places and not (s.header.unit or self.units.get(s.label))]
-        return sorted((s for s in rest if self._of_slope(s, places, units)), key=_natural)
+        return sorted((s for s in rest if self._of_slope(s, places, units)), key=natural)
 
     # Units
 
@@ -328,20 +327,45 @@ class Draft:
                 units[signal.label] = known
         if unknown := [s for s in columns if s.label not in units]:
             ranges = [f"unit of {s.label}, which goes from {s.all.min():.4g} to {s.all.max():.4g}" for s in unknown]
-            likely = [_likely_unit(s, self.standard(s)) for s in unknown]
+            likely = [likely_unit(s, self.standard(s)) for s in unknown]
             asked = zip(unknown, ranges, likely, strict=True)
             raise Unknown(*(Question("--unit", f"{s.label}=", text, (), usual) for s, text, usual in asked))
+        return self._columns(kind, chosen, units)
+
+    def _columns(
+        self, kind: StageKind, chosen: Mapping[str, Sequence[Signal]], units: Mapping[str, tuple[str, str]]
+    ) -> dict[str, dict[str, Use]]:
+        """Return the chosen columns by channel and name; units: label -> unit, and how it is known."""
+        angles = [s for s in chosen["measured"] if factor(units[s.label][0])[1] == "rad"]
+        torques = chosen.get("torque", ())
+        links = links_of(torques, angles)
+        if links is None:
+            self.notes.append(f"The headers of {', '.join(s.label for s in torques)} show no link: correct the numbers")
         found: dict[str, dict[str, Use]] = {}
         for channel, signals in chosen.items():
             own = found.setdefault(channel, {})
             for signal in signals:
                 unit, note = units[signal.label]
                 worth, standard = factor(unit)
-                name = _column(kind, channel, standard, own)
+                name = name_of(kind, channel, standard, own)
+                if channel == "torque" and links is not None:
+                    name = f"torque{links[torques.index(signal)]}"
+                if name in own:
+                    raise self._twice(channel, name, own[name].signal, signal)
                 middle = float(np.median(signal.all)) * worth
                 shift = upright_shift(middle) if kind == "pendulum" and standard == "rad" else 0.0
                 own[name] = Use(signal, unit, note, shift)
         return found
+
+    def _twice(self, channel: str, name: str, one: Signal, other: Signal) -> TrialError | Unknown:
+        """Return the question, or the error of the answers, about two columns for one of a stage file."""
+        both, allowed = f"{one.label} and {other.label} cannot both be the {name}", "allowed is one; name one of them"
+        if channel != "measured":
+            return TrialError(f"--command: {both}; {allowed}")
+        if self.answers.measured:
+            return TrialError(f"--measured: {both}; {allowed}")
+        text = f"columns of the measured output, separated by commas, since {both}"
+        return Unknown(_choice("--measured", text, (one, other), (one, other)))
 
     def _of_slope(
         self, signal: Signal, columns: Sequence[Signal], units: Mapping[str, tuple[str, str]]
@@ -442,36 +466,3 @@ def _value(key: str, text: str) -> ModelValue:
 def _choice(option: str, text: str, signals: Sequence[Signal], likely: Sequence[Signal]) -> Question:
     first = likely[0].label if likely else ""
     return Question(option, "", text, tuple(s.label for s in signals), first)
-
-
-def _natural(signal: Signal) -> tuple[object, ...]:
-    """Return a key that sorts angle2 before angle10."""
-    return tuple((0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", signal.label))
-
-
-def _column(kind: StageKind, channel: str, standard: str, taken: Mapping[str, object]) -> str:
-    """Return the name that a kind of stage gives to a column with this standard unit."""
-    if channel in ("command", "base"):
-        return "command" if channel == "command" else "position"
-    if channel == "torque":
-        return f"torque{len(taken) + 1}"
-    if channel == "force":
-        return _DRIVES.get(standard, "force")
-    if kind in ("pendulum", "chain"):
-        name = "rate" if standard.endswith("/s") else "angle"
-        return f"{name}{sum(each.startswith(name) for each in taken) + 1}"
-    if standard in ("m", "rad", "counts"):
-        return "position"
-    if standard in ("m/s", "rad/s", "counts/s"):
-        return "velocity"
-    return "pressure" if standard == "kPa" else "value"
-
-
-def _likely_unit(signal: Signal, standard: str) -> str:
-    """Return the unit that a quantity usually has in such a range."""
-    top = float(np.max(np.abs(signal.all)))
-    if standard == "rad" and top > 2 * np.pi:
-        return "deg" if top <= 720 else "counts"
-    if standard == "m" and top > 5:
-        return "mm"
-    return {PURE: "1"}.get(standard, standard)

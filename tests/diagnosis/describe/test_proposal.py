@@ -114,6 +114,16 @@ def test_a_driven_mass_is_found(table, servo):
     }
 
 
+def test_two_columns_of_one_kind_are_asked_for(table, servo):
+    t, u, _ = servo
+    path = table("run.csv", "t,force_N,x_m,y_m", t, u, np.sin(t), np.cos(t))
+    assert questions(path, kind="driven_mass") == [("--measured", "x_m")]
+    with pytest.raises(TrialError, match="--measured: x_m and y_m cannot both be the position; allowed is one; name"):
+        proposal(path, kind="driven_mass", measured=("x_m", "y_m"))
+    with pytest.raises(TrialError, match="--command: x_m and force_N cannot both be the command"):
+        proposal(path, kind="tracking", command=("x_m", "force_N"), measured=("y_m",))
+
+
 CHAIN = {"mass_kg": "1,1", "centre_m": "0.1,0.1", "inertia_kg_m2": "0.01,0.01", "length_m": "0.2,0.2"}
 
 
@@ -135,6 +145,19 @@ def test_a_chain_has_measured_torques_and_rates_by_their_slopes(table, servo):
     }
 
 
+@pytest.mark.parametrize(
+    ("angles", "torque", "name"),
+    [("q1,q2", "tau2", "torque2"), ("q0,q1", "tau1", "torque2"), ("hip,knee", "tau2", "torque2"), ("q1,q2", "tau", "")],
+)
+def test_a_single_torque_of_a_chain_has_the_number_of_its_header(table, servo, angles, torque, name):
+    t, u, _ = servo
+    one, two = angles.split(",")
+    path = table("run.csv", f"t,{one}_rad,{two}_rad,{torque} [Nm]", t, np.sin(t), 0.5 * np.sin(3 * t), u)
+    found = proposal(path, kind="chain", angles="relative", nominal=CHAIN, command=(f"{torque} [Nm]",))
+    assert list(found.channels["torque"]) == [name or "torque1"]
+    assert any(f"{torque} [Nm] show no link" in note for note in found.notes) == (not name)
+
+
 def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
     t, *_ = servo
     path = table("run.csv", "t,theta_deg", t, 180 + 20 * np.sin(5 * t) * np.exp(-0.1 * t))
@@ -149,7 +172,7 @@ def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
     [
         ({"command": ("cmb_deg",)}, r"--command cmb_deg: no such column, .*; did you mean cmd_deg\?"),
         ({"units": {"pos_deg": "degs"}}, "--unit pos_deg=degs: no unit 'degs'; did you mean deg"),
-        ({"units": {"x": "deg"}}, "--unit x=deg: no such column; allowed t, cmd_deg, pos_deg; name one"),
+        ({"units": {"x": "deg"}}, "--unit x=deg: no such column; allowed t, cmd_deg, pos_deg, lost_deg; name one"),
         ({"time": "cmd_deg"}, "--time cmd_deg: its numbers do not rise; name the column that holds the time"),
         ({"nominal": {"lag_s": "fast"}}, "--nominal lag_s=fast: is no number; allowed a number"),
         ({"nominal": {"lags": "1"}}, r"--nominal lags: unknown key; did you mean lag_s\?"),
@@ -157,5 +180,6 @@ def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
 )
 def test_an_answer_that_does_not_fit_is_refused(table, servo, answers, says):
     t, u, y = servo
+    path = table("run.csv", "t,cmd_deg,pos_deg,lost_deg", t[:240], -u[:240], y[:240], np.full(240, np.nan))
     with pytest.raises(TrialError, match=says):
-        proposal(table("run.csv", "t,cmd_deg,pos_deg", t[:240], 0 * t[:240] - u[:240], y[:240]), **answers)
+        proposal(path, **answers)
