@@ -60,7 +60,9 @@ def of(signal: Signal, times: Sequence[Signal], units: Mapping[str, str], rate_h
     step = float(np.median(steps)) if len(steps) else 0.0
     if not step > 0 or np.mean(steps >= 0) < RISING:
         raise TrialError(f"--time {time.label}: its numbers do not rise; name the column that holds the time")
-    unit, origin = units.get(time.label) or time.header.unit, "unit from the header"
+    unit, origin = time.header.unit, "unit from the header"
+    if time.label in units:
+        unit, origin = units[time.label], "unit as given"
     if time.dates:
         unit, origin = "s", "dates"
     elif unit is None:

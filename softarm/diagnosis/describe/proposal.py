@@ -101,7 +101,8 @@ class Draft:
         self.units = {s.label: unit for s in survey.signals if (unit := self._answered(s))}
         self.times = self._times()
         taken = {each.label for own in self.times.values() for each in own}
-        self.readings = [s for s in survey.signals if not (s.label in taken or s.dates or s.header.role == "time")]
+        others = [s for s in survey.signals if not (s.label in taken or s.dates or s.header.role == "time")]
+        self.readings = [s for s in others if len(s.all)]
         self.moving = [s for s in self.readings if not s.is_constant]
         self.notes: list[str] = []
         self.by_group = {k: self.clock(next(s for s in survey.signals if s.group == k)) for k in self.times}
@@ -212,7 +213,10 @@ class Draft:
         every = self.survey.signals
         for names in zip(*(s.names for s in every), strict=True):  # labels, sources, names without units
             if names.count(text) == 1:
-                return every[names.index(text)]
+                found = every[names.index(text)]
+                if not len(found.all):
+                    raise TrialError(f"{option} {text}: has no reading; allowed is a column with readings; name one")
+                return found
         labels = [s.label for s in every]
         near = did_you_mean(text, labels)
         raise TrialError(f"{option} {text}: no such column, or several; {near}allowed {', '.join(labels)}; name one")
@@ -404,7 +408,7 @@ class Draft:
         needed = [key.name for key in known.values() if key.needed and key.name not in model]
         likely, per = "", ""
         if kind == "chain" and "inertia_joint_kg_m2" in model:
-            needed.remove("inertia_kg_m2")
+            needed = [key for key in needed if key != "inertia_kg_m2"]
         if links > 1 and "length_m" not in model:
             needed.append("length_m")
         units = {name: use.unit for columns in uses.values() for name, use in columns.items()}

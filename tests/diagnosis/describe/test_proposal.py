@@ -56,6 +56,8 @@ def test_the_unit_of_the_time_follows_from_its_step(table, servo, factor, unit, 
     found = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * t, u, y))
     assert found.clocks["command"].unit == unit
     assert found.clocks["command"].note == f"{rate} rows a second; unit from the step"
+    given = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * t, u, y), units={"time": unit})
+    assert given.clocks["command"].note == f"{rate} rows a second; unit as given"
 
 
 def test_gaps_and_other_time_columns_are_noted(table, servo):
@@ -158,6 +160,13 @@ def test_a_single_torque_of_a_chain_has_the_number_of_its_header(table, servo, a
     assert any(f"{torque} [Nm] show no link" in note for note in found.notes) == (not name)
 
 
+def test_both_inertias_of_a_chain_are_refused(table, servo):
+    t, u, _ = servo
+    path = table("run.csv", "t,q1_rad,q2_rad,tau1_Nm,tau2_Nm", t, np.sin(t), 0.5 * np.sin(3 * t), u, u)
+    with pytest.raises(TrialError, match="inertia_joint_kg_m2: is given together with inertia_kg_m2; keep one"):
+        proposal(path, kind="chain", angles="relative", nominal=CHAIN | {"inertia_joint_kg_m2": "0.1,0.1"})
+
+
 def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
     t, *_ = servo
     path = table("run.csv", "t,theta_deg", t, 180 + 20 * np.sin(5 * t) * np.exp(-0.1 * t))
@@ -171,6 +180,10 @@ def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
     ("answers", "says"),
     [
         ({"command": ("cmb_deg",)}, r"--command cmb_deg: no such column, .*; did you mean cmd_deg\?"),
+        (
+            {"measured": ("lost_deg",)},
+            "--measured lost_deg: has no reading; allowed is a column with readings; name one",
+        ),
         ({"units": {"pos_deg": "degs"}}, "--unit pos_deg=degs: no unit 'degs'; did you mean deg"),
         ({"units": {"x": "deg"}}, "--unit x=deg: no such column; allowed t, cmd_deg, pos_deg, lost_deg; name one"),
         ({"time": "cmd_deg"}, "--time cmd_deg: its numbers do not rise; name the column that holds the time"),
