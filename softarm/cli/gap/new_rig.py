@@ -6,7 +6,7 @@ Unknown facts are asked for at a terminal; otherwise an error names the option.
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,13 @@ if TYPE_CHECKING:
 
 UNIT_ERROR = 0.2  # relative difference of an actuator's gain and stiffness up to which its command has a unit
 KINDS = click.Choice(DESCRIBED)
+# Option -> kinds of mechanism that use it.
+_USED_BY = {
+    **dict.fromkeys(("name", "kind", "measured", "nominal"), DESCRIBED),
+    "command": ("tracking", "driven_mass", "chain"),
+    "base": ("pendulum", "chain"),
+    "angles": ("chain",),
+}
 ANGLES = click.Choice(("absolute", "relative"))
 RATE = click.FloatRange(min=0, min_open=True)
 _VALUES = {"--unit": "UNIT", "--nominal": "NUMBER", "--rate": "HZ", "--command": "COLUMN", "--measured": "COLUMN"}
@@ -108,10 +115,18 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
         proposal = proposed(Answers(**given), lambda answers: of_joints.propose(found, answers, *known))
     else:
         proposal = proposed(Answers(**given), lambda answers: propose(found, answers))
+    _refuse_unused(proposal.kind, {"name": name, **given})
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")
-    _check(out, bool(models))
+    _check(out, bool(proposal.model))
+
+
+def _refuse_unused(kind: str, given: Mapping[str, Any]) -> None:
+    """Raise UsageError if an option is given that this kind of mechanism does not use."""
+    for option, kinds in _USED_BY.items():
+        if given[option] and kind not in kinds:
+            raise click.UsageError(f"--{option} is for {', '.join(kinds)}; this mechanism is {kind}: omit it")
 
 
 def _joints(model: Path) -> "tuple[ModelJoint, ...]":
@@ -185,7 +200,7 @@ def _show(found: "Survey") -> None:
 
 
 def _check(out: Path, has_model: bool) -> None:
-    """Check the new file as `softarm check` does, and print the next command; has_model: nothing is to complete."""
+    """Check the new file as `softarm check` does, and print the next command; has_model: its values are given."""
     from softarm.cli.setup.check import check_stage
     from softarm.diagnosis.data.trials import TrialError
 

@@ -32,7 +32,7 @@ def test_the_written_file_is_checked_and_the_next_command_printed(runs, tmp_path
     lines = result.stdout.splitlines()
     assert "wrote stage.yaml" in lines
     assert "stage.yaml: valid; 2 trials of servo (tracking)" in lines
-    assert lines[-1] == "  softarm diagnose stage.yaml --report stage.html"
+    assert lines[-2:] == ["next:", "  softarm diagnose stage.yaml --report stage.html"]
     trials = tables.read(tmp_path / "stage.yaml")
     assert [(t.name, t.kind, t.stage.model, t.warnings) for t in trials] == [
         ("chirp", "chirp", {"lag_s": 0.1}, ()),
@@ -42,7 +42,9 @@ def test_the_written_file_is_checked_and_the_next_command_printed(runs, tmp_path
 
 
 def test_every_key_of_the_written_file_is_explained(runs, tmp_path):
-    assert invoke("new", "rig", runs).exit_code == 0
+    result = invoke("new", "rig", runs)
+    assert result.exit_code == 0
+    assert "next: complete `model:` in stage.yaml with the values of your simulator, then\n" in result.stdout
     lines = (tmp_path / "stage.yaml").read_text().splitlines()
     for key in ("name:", "kind:", "channels:", "model:", "trials:"):
         at = next(i for i, line in enumerate(lines) if line.startswith(key))
@@ -50,6 +52,22 @@ def test_every_key_of_the_written_file_is_explained(runs, tmp_path):
     assert '      command: {source: "soll [deg]", unit: deg}  # -30 to 30; unit from the header' in lines
     assert "  - {name: steps-01, kind: steps, files: runs/steps-01.csv}  # 200 rows, 3.98 s" in lines
     assert any(line.startswith("  # lag_s: 0 ") and "time constant" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("model", "option", "value", "says"),
+    [
+        ((), "--angles", "relative", "--angles is for chain; this mechanism is tracking: omit it"),
+        ((), "--base", "angle", "--base is for pendulum, chain; this mechanism is tracking: omit it"),
+        (("arm.xml",), "--kind", "chain", "--kind is for tracking, driven_mass, pendulum, chain; this mechanism is mu"),
+    ],
+)
+def test_an_option_that_the_kind_does_not_use_is_refused(runs, tmp_path, model, option, value, says):
+    (tmp_path / "arm.xml").write_text('<mujoco><worldbody><body><joint name="angle"/><geom size="1"/></body>'
+                                      "</worldbody></mujoco>")  # fmt: skip
+    result = invoke("new", "rig", *model, runs, option, value)
+    assert (result.exit_code, says in " ".join(result.stderr.split())) == (2, True), result.output
+    assert not (tmp_path / "stage.yaml").exists()
 
 
 def test_a_file_is_not_overwritten_silently(runs, tmp_path, monkeypatch):
