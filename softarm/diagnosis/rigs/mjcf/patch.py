@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -312,8 +313,10 @@ class _Edits:
 
     def add_point_mass(self, body: str, mass_kg: float, at: Iterable[float]) -> bool:
         """Add a body without a joint to a named one, at a place in its frame, [3]; return False without such a name."""
+        names = (f"{body}_payload{i if i > 1 else ''}" for i in count(1))
+        name = next(each for each in names if self._place(_Element("body", each)) is None)
         more = (
-            f'<body name="{body}_payload" pos="{_numbers(at)}">'
+            f'<body name="{name}" pos="{_numbers(at)}">'
             f'<inertial pos="0 0 0" mass="{_short(mass_kg)}" diaginertia="{" ".join([_POINT_KG_M2] * 3)}"/></body>'
         )
         return self._add(_Element("body", body), more)
@@ -345,6 +348,8 @@ class _Edits:
                 bodies.append(attributes.get("name", ""))
             same = tag == element.tag and attributes.get("name", "") == element.name and not found
             same &= element.joint in (None, attributes.get("joint"))
+            # An equality of joints may have a joint's name.
+            same &= tag != "joint" or bool(bodies)
             if same and (body is None or (bodies and bodies[-1] == body)):
                 found.append(parser.CurrentByteIndex)
 

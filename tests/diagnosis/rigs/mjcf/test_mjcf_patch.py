@@ -97,6 +97,14 @@ def test_a_gain_and_a_lag_are_written_for_each_kind_of_actuator(tmp_path, actuat
         assert after.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
+def test_an_equality_with_the_name_of_a_joint_is_no_joint(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ACTUATED.format('<equality><joint name="elbow" joint1="elbow"/></equality>', ""))
+    found = patch.patched(file, verdict([("elbow.damping.viscous", 0.2, "N m s/rad")]), calibration=True)
+    after = read(found, tmp_path)
+    assert np.ravel(after.dof_damping)[0] == pytest.approx(0.2)
+
+
 def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ACTUATED.format('<compiler autolimits="false"/>', '<motor name="m" joint="elbow"/>'))
@@ -241,6 +249,8 @@ def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
     assert after.body(added).mass[0] == pytest.approx(0.11)
     assert np.linalg.norm(after.body(added).pos) == pytest.approx(0.12, abs=1e-6)
     assert after.body_mass.sum() == pytest.approx(before.body_mass.sum() + 0.11)
+    again = read(patch.patched(tmp_path / "patched.xml", verdict(payloads), calibration=True), tmp_path)
+    assert again.body(f"{added}2").mass[0] == pytest.approx(0.11)
 
 
 @pytest.mark.parametrize("option", ['<option timestep="0.002" integrator="implicitfast"/>', ""])
