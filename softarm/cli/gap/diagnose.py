@@ -15,6 +15,7 @@ from softarm.common.processes import bar
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.result import Diagnosis
     from softarm.diagnosis.many import Options
+    from softarm.schemas.verdict import Verdict
 
 
 @click.command()
@@ -88,15 +89,9 @@ def diagnose(
 
     inputs = tuple(map(stage_of_folder, inputs))
     stages = [path for path in inputs if path.suffix in TABLES]
-    if data is not None and not stages:
-        raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
-    if model_file is not None and out is None and stages:
-        raise click.UsageError(
-            f"--model is the simulator of the robot, but {stages[0]} is another rig and holds its own nominal model; "
-            f"omit --model, and write the values under `model:` in {stages[0]}"
-        )
     if best_fit and (patch_file is None or not stages):
         raise click.UsageError("--best-fit is for the patch of a stage.yaml: add --patch FILE, or omit --best-fit")
+    _refuse_misused(stages, data, model_file if out is None else None, limits_file)
     refuse_misplaced(inputs)
     places = {"--json": json_file, "--report": report_file, "--patch": patch_file, "--limits": limits_file}
     if out is not None:
@@ -129,9 +124,21 @@ def diagnose(
     written = [str(place) for place in places.values() if place is not None]
     show(result, json_file)
     if patch_file is not None and patched is None:
-        click.echo(f"{patch_file}: not written, {_no_patch(result, len(stages))}", err=True)
+        reason = _no_patch(result.verdict, len(stages), calibration, best_fit)
+        click.echo(f"{patch_file}: not written, {reason}", err=True)
     if written:
         click.echo(f"wrote {', '.join(written)}")
+
+
+def _refuse_misused(stages: list[Path], data: Path | None, model: Path | None, limits: Path | None) -> None:
+    """Raise UsageError if an option of a robot is given with the stage.yaml of another rig, or the other way round."""
+    if data is not None and not stages:
+        raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
+    if model is not None and stages:
+        raise click.UsageError(
+            f"--model is the simulator of the robot, but {stages[0]} is another rig and holds its own nominal model; "
+            f"omit --model, and write the values under `model:` in {stages[0]}"
+        )
 
 
 def _diagnose_all(inputs: tuple[Path, ...], options: "Options", workers: Workers) -> None:
@@ -167,16 +174,21 @@ def _mjcf_patch(model: Path, result: "Diagnosis", calibration: bool, best_fit: b
     found = patch.patched(model, result.verdict, calibration, best_fit)
     if found is None:
         return None
-    click.echo(found.diff.rstrip())
-    for text in found.left_out:
-        click.echo(f"MJCF has no attribute for {text}; --patch FILE.yaml writes it")
-    return found.text
+    for text in (found.diff.rstrip(), *(f"left out: {text}" for text in found.left_out)):
+        if text:
+            click.echo(text)
+    return found.text if found.diff else None
 
 
-def _no_patch(result: "Diagnosis", stage_files: int) -> str:
+def _no_patch(verdict: "Verdict", stage_files: int, calibration: bool, best_fit: bool) -> str:
+    """Return why there is no patch."""
     if stage_files > 1:
         return "it is for one stage.yaml; diagnose each file alone"
-    return f"no effect was named and nothing calibrated (verdict: {result.verdict.verdict})"
+    if verdict.findings(calibration, best_fit):
+        return "since no finding changes the model (see above)"
+    if verdict.findings(calibration=True):
+        return f"no effect was named (verdict: {verdict.verdict}); for the calibration omit --no-calibration"
+    return f"no effect was named and nothing calibrated (verdict: {verdict.verdict})"
 
 
 CALIBRATION_SHOWN = 0.02  # least share of its stage's gap; the report lists all

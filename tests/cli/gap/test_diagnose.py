@@ -15,7 +15,8 @@ from softarm.schemas.verdict import NextExperiment, Verdict
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 from tests.cli.trial_folder import write_trial
-from tests.diagnosis.verdicts import effect, gap, rms, verdict
+from tests.diagnosis.rigs.recordings import described
+from tests.diagnosis.verdicts import effect, gap, rms, verdict, with_parameters
 
 BEFORE, AFTER, CALIBRATED, FLOOR = (rms("kPa", pressure=value) for value in (2.0, 1.0, 0.8, 0.2))
 NAMED = verdict(
@@ -145,6 +146,25 @@ def test_without_a_named_effect_no_patch_is_written(asked, tmp_path):
     outcome = invoke("diagnose", trial, "--patch", patch)
     assert outcome.exit_code == 0
     assert "not written, no effect was named and nothing calibrated (verdict: unknown)" in outcome.output
+    calibrated = with_parameters(calibration=[("pressure.gain.scale", 0.02, "-")]).calibration
+    asked.verdict = UNKNOWN.model_copy(update={"calibration": calibrated})
+    outcome = invoke("diagnose", trial, "--patch", patch, "--no-calibration")
+    assert "no effect was named (verdict: unknown); for the calibration omit --no-calibration" in outcome.output
+    assert not patch.exists()
+
+
+def test_a_model_that_no_finding_changes_is_not_written(asked, tmp_path):
+    (tmp_path / "arm.xml").write_text('<mujoco><worldbody><body><joint name="elbow"/><geom size="1"/></body>'
+                                      "</worldbody></mujoco>")  # fmt: skip
+    angles = "".join(f"{k / 100},{np.sin(k / 10)}\n" for k in range(200))
+    (tmp_path / "run.csv").write_text("t,elbow\n" + angles)
+    stage = described(tmp_path, "arm.xml", measured={"elbow": "rad"})
+    late = NAMED.effects[0].model_copy(update={"name": "elbow.dead_time"})
+    asked.verdict, patch = NAMED.model_copy(update={"effects": (late,)}), tmp_path / "patched.xml"
+    outcome = invoke("diagnose", stage, "--patch", patch)
+    assert outcome.exit_code == 0, outcome.output
+    assert "left out: elbow.dead_time.delay = 0.06: the MJCF has no place for it; --patch FILE" in outcome.output
+    assert f"{patch}: not written, since no finding changes the model (see above)" in outcome.output
     assert not patch.exists()
 
 

@@ -36,6 +36,9 @@ _FRICTION = "coulomb_friction", "stiction", "load_friction"
 _HOLDS = "0.9999 0.9999"
 _ACTUATORS = "position", "velocity", "motor", "general", "cylinder"
 _DIGITS = 6
+# Remedies for findings that are left out.
+_OTHER = "--patch FILE.yaml writes it"
+_UNNAMED = "the body has no name; name it in the model and diagnose again"
 _POINT_KG_M2 = "1e-9"  # inertia of a point mass: MuJoCo refuses zero
 
 
@@ -45,7 +48,7 @@ class MjcfPatch:
 
     text: str
     diff: str  # unified diff against the original
-    left_out: tuple[str, ...]  # findings that the file cannot express, each with its value
+    left_out: tuple[str, ...]  # findings that the file cannot express, each with its value and the remedy
 
 
 def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = False) -> MjcfPatch | None:
@@ -87,7 +90,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         elif parameter.startswith("tilt."):
             tilts.setdefault(parameter.removeprefix("tilt."), []).append(value)
         elif not _written(edits, joint, parameter, value, found):
-            left_out.append(f"{place} = {value:.{_DIGITS}g}")
+            left_out.append(f"{place} = {_short(value)}: the MJCF has no place for it; {_OTHER}")
     rubbing = {place.partition(".")[0] for place in found if place.split(".")[1] in _FRICTION}
     rubbing |= {name for name in stages & model.joints.keys() if model.joints[name].friction}
     for name in sorted(rubbing.difference(verdict.creeping)):
@@ -95,8 +98,9 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
     left_out += _write_bodies(edits, model, shares, payloads)
     if shares or payloads or any(place.endswith(".armature.inertia") for place in found):
         for joint in model.with_damping_ratio():  # else MuJoCo computes other dampers from the new inertia
-            if not _written(edits, joint, "gain.scale", 0.0, found):
-                left_out.append(f"the damper of {joint.name} as it was: its dampratio gives another one now")
+            if (own := joint.actuator) and not _written(edits, joint, "gain.scale", 0.0, found):
+                kv = _short(own.kd / own.gear**2)
+                left_out.append(f"the damper of {joint.name}: its dampratio gives another one; write kv={kv} instead")
     if tilts:
         edits.set_option("gravity", _numbers(_tilted(model, tilts)))
     after = edits.text
@@ -223,13 +227,14 @@ def _write_bodies(
     """
     left_out = []
     for body, values in shares.items():
-        factor = 1 + float(np.mean(values))
-        if not edits.change_mass(body, factor, model.inertial(body)):
-            left_out.append(f"mass of {body} x {factor:.{_DIGITS}g}: its geoms define it, or the body has no name")
+        factor, inertial = 1 + float(np.mean(values)), model.inertial(body)
+        if not edits.change_mass(body, factor, inertial):
+            why = "its geoms define it; change theirs" if inertial is None else _UNNAMED
+            left_out.append(f"mass of {body} x {_short(factor)}: {why}")
     for body, loads in payloads.items():
         mass, *at = np.mean(loads, axis=0)
         if not edits.add_point_mass(body, float(mass), at):
-            left_out.append(f"payload of {mass:.{_DIGITS}g} kg at {body}, a body without a name")
+            left_out.append(f"payload of {_short(mass)} kg at {body}: {_UNNAMED}, or {_OTHER}")
     return left_out
 
 
