@@ -139,6 +139,8 @@ def _refuse_misused(stages: list[Path], data: Path | None, model: Path | None, l
             f"--model is the simulator of the robot, but {stages[0]} is another rig and holds its own nominal model; "
             f"omit --model, and write the values under `model:` in {stages[0]}"
         )
+    if limits is not None and stages:
+        raise click.UsageError(f"--limits is for the rail of the robot, but {stages[0]} is another rig; omit --limits")
 
 
 def _diagnose_all(inputs: tuple[Path, ...], options: "Options", workers: Workers) -> None:

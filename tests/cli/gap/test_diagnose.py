@@ -168,6 +168,12 @@ def test_a_model_that_no_finding_changes_is_not_written(asked, tmp_path):
     assert not patch.exists()
 
 
+def test_limits_of_the_rail_are_refused_for_another_rig(tmp_path):
+    (tmp_path / "stage.yaml").write_text("channels: {}")
+    outcome = invoke("diagnose", tmp_path, "--limits", tmp_path / "limits.yaml")
+    assert (outcome.exit_code, "--limits is for the rail of the robot" in outcome.output) == (2, True)
+
+
 def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "a.csv").write_text("t,c,p\n" + "".join(f"{k / 10},{k},{k}\n" for k in range(20)))
