@@ -66,7 +66,7 @@ def diagnose_table(
     assembled = assemble(_verdict(stages, answers, warnings), answers, trials, started)
     return replace(
         assembled,
-        film=film(assembled, trials) if stage_of(own[stages[0].answer.stage]).kind == "mujoco" else None,
+        film=film(assembled, trials),
         rivals=tuple(rival for s in stages for rival in s.rivals),
         margins={name: x for s in stages if is_rated(s.decision) for name, x in margins(s.decision.selected).items()},
         noise={s.answer.stage: s.noise for s in stages if s.noise},

@@ -20,18 +20,21 @@ DRAWN = 0.1
 
 
 def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
-    """Return the film of a diagnosis, or None if no stage stands out.
+    """Return the film of a diagnosis, or None if no joint of a model stands out.
 
     Deviations are those of each stage alone, driven by the measured motion of the others.
 
     Args:
         diagnosis: diagnosis with its signals in standard units.
-        trials: trials of all joints.
+        trials: trials of all stages.
     """
     if diagnosis.verdict.where.stage is None or not diagnosis.overlays:
         return None
     shown = diagnosis.overlays[worst(diagnosis)]
-    trial = next(t for t in trials if stage_of([t]).name == shown.stage and _is_of(shown, t))
+    own = [t for t in trials if stage_of([t]).name == shown.stage]
+    if stage_of(own).kind != "mujoco":
+        return None
+    trial = next(t for t in own if _is_of(shown, t))
     start, end = window(shown) or (float(shown.t_s[0]), float(shown.t_s[-1]))
     t_s = np.arange(start, end, 1 / FRAMES_PER_S)
     model = mechanism(Path(str(stage_of([trial]).model["mjcf"])), *drive.columns([trial]))

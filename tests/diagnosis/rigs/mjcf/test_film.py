@@ -26,10 +26,10 @@ def filmed(tmp_path):
     """Return a function that films overlays with these errors of each joint, [T], nominal and patched."""
     (tmp_path / "two.xml").write_text(TWO)
 
-    def of(nominal, patched=None, stage="elbow", name="run-0/{}"):
+    def of(nominal, patched=None, stage="elbow", name="run-0/{}", kinds=("mujoco", "mujoco")):
         trials, overlays = [], []
-        for joint in JOINTS:
-            about = TableStage(joint, "mujoco", {"mjcf": str(tmp_path / "two.xml")})
+        for joint, kind in zip(JOINTS, kinds, strict=True):
+            about = TableStage(joint, kind, {"mjcf": str(tmp_path / "two.xml")} if kind == "mujoco" else {})
             channels = {"measured": Series(T, {k: v.copy() for k, v in MOTION.items()})}
             trials.append(Trial(name.format(joint), "sine", Path("run.csv"), channels, stage=about))
             seen = MOTION[joint]
@@ -83,5 +83,6 @@ def test_stretches_of_a_recording_are_joined(filmed):
     assert np.linalg.norm(found.lines["nominal"] - found.lines["measured"], axis=-1).max() > 0.01
 
 
-def test_without_a_gap_there_is_no_film(filmed):
+def test_without_a_gap_or_if_it_is_no_joints_there_is_no_film(filmed):
     assert filmed(dict.fromkeys(JOINTS, 0.0 * T), stage=None) is None
+    assert filmed({"shoulder": 0.0 * T, "elbow": 0.02 * WORST}, kinds=("mujoco", "tracking")) is None
