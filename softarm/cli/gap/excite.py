@@ -121,6 +121,7 @@ def _planned(plan: Path) -> str:
     """Return the excitation that a verdict asks for next; end the command with a sentence if there is none."""
     from pydantic import ValidationError
 
+    from softarm.schemas.excitation import EXCITATIONS
     from softarm.schemas.verdict import Verdict
 
     try:
@@ -133,6 +134,11 @@ def _planned(plan: Path) -> str:
         fail(f"{plan}: {f'{where}: ' if where else ''}{first['msg']}; name a file that `softarm diagnose --json` wrote")
     if verdict.next_experiment is None:
         fail(f"{plan}: asks for no next experiment; name an excitation, `softarm excite --list` shows them")
-    for effect, expected in verdict.next_experiment.expect.items():
+    name, expect = verdict.next_experiment.excitation, verdict.next_experiment.expect
+    if name not in EXCITATIONS:
+        # Without an expectation the name states that none separates the effects.
+        problem = f"no excitation {name!r}; record the motion of another rig by hand" if expect else name
+        fail(f"{plan}: {problem}, or name an excitation of the robot: `softarm excite --list` shows all")
+    for effect, expected in expect.items():
         click.echo(f"if {effect}: {expected}")
-    return verdict.next_experiment.excitation
+    return name
