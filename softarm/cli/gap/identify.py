@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.gap.recorded import limits_option, refuse_misplaced, write_limits
-from softarm.cli.shared.console import FILE, FOLDER, INPUT, json_option, model_option, print_table, print_text, warn
+from softarm.cli.shared.console import (
+    FILE,
+    FOLDER,
+    INPUT,
+    check_places,
+    json_option,
+    model_option,
+    print_table,
+    print_text,
+    warn,
+)
 from softarm.cli.shared.errors import NOTHING, leaves, writing
 from softarm.common.processes import bar
 from softarm.common.quantity import KPA_PER_PSI
@@ -55,6 +65,7 @@ def identify(
     from softarm.simulator import model_file as models
 
     refuse_misplaced((*inputs, *checks))
+    check_places(out, json_file, limits_file)
     leaves(NOTHING)
     with writing():
         model = models.load(model_file) if model_file else Model()

@@ -97,6 +97,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("evaluate ceiling --film swing.gif", "ceiling is a search, not a policy"),
         ("excite seed --reality --fault arm.paylod_kg=0.03", "write group.quantity=value"),
         ("identify nowhere --out m.yaml", "nowhere: does not exist; name an MCAP log, a trial folder"),
+        ("identify nowhere --out m.yaml --json no/m.json", "no/m.json: the folder no does not exist"),
         ("logs recover .", "a.mcap: not a log"),
         ("logs recover campaign", "campaign: no logs there; give the recorder's directory or a log"),
         ("new rig nowhere", "nowhere: does not exist; name the files or folders"),
