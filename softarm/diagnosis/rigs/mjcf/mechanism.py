@@ -27,6 +27,7 @@ from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
 NUDGE, NUDGE_SPEED = 0.05, 0.1
+_INCLUDED = re.compile(r"""<include\s+file\s*=\s*["'](.*?)["']""")
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,10 +440,21 @@ class Mechanism:
 
 def mechanism(path: Path, measured: Iterable[str] = (), moved: Iterable[str] = ()) -> Mechanism:
     """Return the mechanism of a model file, loaded again only after a change of the file; see `Mechanism`."""
-    changed_ns = path.stat().st_mtime_ns if files.is_file(path) else 0
-    return _mechanism(path, frozenset(measured), frozenset(moved), changed_ns)
+    return _mechanism(path, frozenset(measured), frozenset(moved), _changes(path))
 
 
 @lru_cache(maxsize=8)
-def _mechanism(path: Path, measured: frozenset[str], moved: frozenset[str], changed_ns: int) -> Mechanism:
+def _mechanism(path: Path, measured: frozenset[str], moved: frozenset[str], changes: frozenset[object]) -> Mechanism:
     return Mechanism(path, measured, moved)
+
+
+def _changes(path: Path) -> frozenset[object]:
+    """Return the last changes of a model file and of all files that it includes."""
+    found, todo = dict[Path, int](), [path]
+    while todo:
+        each = todo.pop()
+        if each not in found and files.is_file(each):
+            found[each] = each.stat().st_mtime_ns
+            names = _INCLUDED.findall(each.read_text(encoding="utf-8", errors="replace"))
+            todo += [path.parent / name for name in names]
+    return frozenset(found.items())

@@ -1,5 +1,6 @@
 """Rigid-body terms, actuators and refusals of a MuJoCo model."""
 
+import os
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.loads import powers
-from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism, mechanism
 from validation.mechanisms.record import ROBOTS
 
 EXAMPLE = Path(__file__).parents[4] / "examples/mujoco"
@@ -201,6 +202,17 @@ def test_an_actuator_is_read_in_the_units_of_its_joint():
     servo = Mechanism(ROBOTS["arm"].model).joint("wrist").actuator
     assert (servo.kp, servo.kd, servo.low, servo.high) == (15.0, 0.5, -3.0, 3.0)
     assert Mechanism(ROBOTS["gantry"].model).joint("swing").actuator is None
+
+
+def test_a_change_of_an_included_file_is_seen(tmp_path):
+    scene, robot = tmp_path / "scene.xml", tmp_path / "robot.xml"
+    scene.write_text('<mujoco><include file="parts.xml"/></mujoco>')
+    (tmp_path / "parts.xml").write_text('<mujoco><include file="robot.xml"/></mujoco>')
+    for second, viscous in enumerate((0.1, 0.2)):
+        joint = f'<joint name="elbow" damping="{viscous}"/><geom size="0.1"/>'
+        robot.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
+        os.utime(robot, (second, second))
+        assert mechanism(scene).joint("elbow").viscous == viscous
 
 
 def test_a_model_that_mujoco_refuses_is_refused_with_its_reason(tmp_path):
