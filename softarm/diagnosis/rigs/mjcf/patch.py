@@ -97,10 +97,7 @@ def patched(path: Path, verdict: Verdict, calibration: bool, best_fit: bool = Fa
         edits.set(_Element("joint", name), "solimpfriction", _HOLDS)
     left_out += _write_bodies(edits, model, shares, payloads)
     if shares or payloads or any(place.endswith(".armature.inertia") for place in found):
-        for joint in model.with_damping_ratio():  # else MuJoCo computes other dampers from the new inertia
-            if (own := joint.actuator) and not _written(edits, joint, "gain.scale", 0.0, found):
-                kv = _short(own.kd / own.gear**2)
-                left_out.append(f"the damper of {joint.name}: its dampratio gives another one; write kv={kv} instead")
+        left_out += _write_dampers(edits, model, found)
     if tilts:
         edits.set_option("gravity", _numbers(_tilted(model, tilts)))
     after = edits.text
@@ -235,6 +232,16 @@ def _write_bodies(
         mass, *at = np.mean(loads, axis=0)
         if not edits.add_point_mass(body, float(mass), at):
             left_out.append(f"payload of {_short(mass)} kg at {body}: {_UNNAMED}, or {_OTHER}")
+    return left_out
+
+
+def _write_dampers(edits: "_Edits", model: Mechanism, found: Mapping[str, float]) -> list[str]:
+    """Write the dampers that MuJoCo would compute again from a changed inertia, and return what is left out."""
+    left_out = []
+    for joint in model.with_damping_ratio():
+        if (own := joint.actuator) and not _written(edits, joint, "gain.scale", 0.0, found):
+            kv = _short(own.kd / own.gear**2)
+            left_out.append(f"the damper of {joint.name}: its dampratio gives another one; write kv={kv} instead")
     return left_out
 
 
