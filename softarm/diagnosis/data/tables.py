@@ -39,6 +39,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     described = load(path)
     skeletons = [mocap.skeleton_of(stage, base) for stage in described]
     stages = [*map(mocap.with_joints, described, skeletons)]
+    _refuse_shared_names(path, stages)
     _refuse_unknown_effects(path, stages)
     table_of = cache(partial(table_files.load, form=stages[0].form))  # a file that serves many trials is read once
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
@@ -65,7 +66,6 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
                 if not mistakes:
                     own = checked.setdefault(stage_of([trial]).name, [])
                     own.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
-    refuse_two_models(trial for own in checked.values() for trial, _ in own)
     trials: list[Trial] = []
     for own in checked.values():
         kept, mistakes = still_checks.moving(own)
@@ -79,20 +79,16 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
-def refuse_two_models(trials: Iterable[Trial]) -> None:
-    """Raise TrialError if stages with one name have different nominal models."""
-    first: dict[str, Trial] = {}
-    for trial in trials:
-        stage, other = stage_of([trial]), first.setdefault(stage_of([trial]).name, trial)
-        own, model = ({"kind": each.kind, **each.model, "effects": each.effects} for each in (stage, stage_of([other])))
-        if differing := [key for key in {**model, **own} if model.get(key) != own.get(key)]:
-            key = differing[0]
-            remedy = "rename the joint in one model" if stage.kind == "mujoco" else "give one another `name`"
-            raise TrialError(
-                f"{other.source} and {trial.source}: both record a stage {stage.name}, but {key} of the nominal model "
-                f"is {model.get(key)} and {own.get(key)}; allowed is one model for each name; {remedy}, or describe "
-                "and diagnose each alone"
-            )
+def _refuse_shared_names(path: Path, stages: Sequence[Stage]) -> None:
+    """Raise TrialError if two mechanisms have parts of one name, such as the joints of two equal arms."""
+    owner: dict[str, str] = {}
+    for stage in stages:
+        for name in stage.about.parts or (stage.name,):
+            if (other := owner.setdefault(name, stage.name)) != stage.name:
+                raise TrialError(
+                    f"{path}: mechanisms {other} and {stage.name} both have {name}; allowed is one; rename it in one "
+                    "of them, or give each a stage.yaml of its own and diagnose each alone"
+                )
 
 
 def _refuse_unknown_effects(path: Path, stages: Sequence[Stage]) -> None:

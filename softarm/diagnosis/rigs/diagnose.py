@@ -5,11 +5,11 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.answer.assembly import StageAnswer, assemble, gap_of
-from softarm.diagnosis.data.tables import refuse_two_models
-from softarm.diagnosis.data.trials import Trial, stage_of
+from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.confidence import margins
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis
@@ -74,6 +74,25 @@ def diagnose_table(
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
     )
+
+
+def refuse_two_models(trials: Iterable[Trial]) -> None:
+    """Raise TrialError if stages with one name have different nominal models; copies of an MJCF file are one."""
+    first: dict[str, Trial] = {}
+    for trial in trials:
+        stage, other = stage_of([trial]), first.setdefault(stage_of([trial]).name, trial)
+        own, model = ({"kind": each.kind, **each.model, "effects": each.effects} for each in (stage, stage_of([other])))
+        differing = [key for key in {**model, **own} if model.get(key) != own.get(key)]
+        if "mjcf" in differing and len({Path(str(each["mjcf"])).read_bytes() for each in (own, model)}) == 1:
+            differing.remove("mjcf")
+        if differing:
+            key = differing[0]
+            remedy = "rename the joint in one model" if stage.kind == "mujoco" else "give one another `name`"
+            raise TrialError(
+                f"{other.source} and {trial.source}: both record a stage {stage.name}, but {key} of the nominal model "
+                f"is {model.get(key)} and {own.get(key)}; allowed is one model for each name; {remedy}, or describe "
+                "and diagnose each alone"
+            )
 
 
 def _alone(own: Mapping[str, Sequence[Trial]], budget_s: float, report: Progress, processes: int) -> dict[str, Finding]:

@@ -152,9 +152,10 @@ trials:
 """
 
 
-def test_joints_with_one_name_need_one_model(tmp_path):
-    with pytest.raises(TrialError, match=r"a stage elbow, but mjcf .*left.xml and .*right.xml; .*; rename the joint"):
-        read(tmp_path, table(), stage=ARMS)
+@pytest.mark.parametrize("stage", [ARMS, ARMS.replace("right.xml", "left.xml")])
+def test_two_mechanisms_with_one_joint_are_refused(tmp_path, stage):
+    with pytest.raises(TrialError, match="mechanisms left and right both have elbow; allowed is one; rename it"):
+        read(tmp_path, table(), stage=stage)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.shooting import swing as swung
 from softarm.diagnosis.rigs.chain.view import ChainView
-from softarm.diagnosis.rigs.diagnose import diagnose_table, merged
+from softarm.diagnosis.rigs.diagnose import diagnose_table, merged, refuse_two_models
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import grid
 from softarm.diagnosis.rigs.laws import chain as law
@@ -106,6 +106,17 @@ def test_stages_with_one_name_need_one_model():
     one, other = (replace(cart({"mass_kg": mass}), source=Path(f"{mass}.csv")) for mass in (2.0, 3.0))
     with pytest.raises(TrialError, match=r"^2.0.csv and 3.0.csv: .* cart, but mass_kg .* 2.0 and 3.0; .* `name`"):
         diagnose_table([one, other])
+
+
+def test_copies_of_an_mjcf_file_are_one_model(tmp_path):
+    files = [tmp_path / name for name in ("a.xml", "b.xml")]
+    trials = [replace(cart({"mjcf": str(file)}), source=file) for file in files]
+    for file in files:
+        file.write_text("<mujoco/>")
+    refuse_two_models(trials)
+    files[1].write_text("<mujoco model='other'/>")
+    with pytest.raises(TrialError, match="allowed is one model for each name"):
+        refuse_two_models(trials)
 
 
 def test_a_warning_of_several_stages_is_given_once():
