@@ -15,9 +15,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from softarm.policies import registry
-from softarm.policies.base import Policy, PolicyError
+from softarm.policies.base import Policy, PolicyError, PolicySpec
+from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Policy as ConfiguredPolicy
-from softarm.schemas.policy import Observation, places
+from softarm.schemas.policy import OBSERVATION, places
 
 TRIAL_S = 90.0  # to load and step once; a plug-in may compile for half a minute
 MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
@@ -36,21 +37,24 @@ if os.getppid() != int(sys.argv[2]):
 from softarm.policies import trial
 trial.main()
 """
-# Inputs of the first step: the arm hanging at rest, and a target in the training range.
-_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
-_HANGING[places("tip_z_m")] = 0.52
+# Target of the first steps, in the training range.
 _TARGET = np.array([-0.2, 0.6], dtype=np.float32)
 
 
+def observed_values(spec: PolicySpec) -> int:
+    """Return the number of values in the observation of a policy."""
+    return len(OBSERVATION) + (2 if spec.wants_tracking else 0)
+
+
 def ready(policy: Policy) -> Policy:
-    """Load a policy, run one step and reset it. Raises PolicyError if that fails."""
-    try:
-        policy.reset()
-        policy.step(_HANGING.copy(), _TARGET.copy())
-        policy.reset()
-    except Exception as error:
-        why = f"its first step failed ({type(error).__name__}: {error}); choose another"
-        raise PolicyError(f"policy '{policy.spec.name}': {why}") from error
+    """Run the first step of a policy twice, reset in between. Raises PolicyError if that fails."""
+    hanging = np.zeros(observed_values(policy.spec), dtype=np.float32)
+    hanging[places("tip_z_m")] = 0.52
+    runner = InlineRunner(policy)
+    for _ in range(2):
+        runner.reset()
+        if (fault := runner.step(hanging, _TARGET).fault) is not None:
+            raise PolicyError(f"{fault}; repair it or choose another policy")
     return policy
 
 

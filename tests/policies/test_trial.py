@@ -9,9 +9,10 @@ import threading
 import pytest
 
 from softarm.policies import trial
-from softarm.policies.base import PolicyError
+from softarm.policies.base import PolicyError, PolicySpec
 from softarm.policies.trial import try_out
 from softarm.schemas.config import Policy as Configured
+from tests.daemon.rig import Steady
 from tests.processes import gone, until
 
 pytestmark = pytest.mark.timeout(120)
@@ -79,12 +80,32 @@ def test_a_trial_does_not_inherit_the_daemons_priority(plugged):
     ("does", "sentence"),
     [
         ("leaves", "policy 'mine': its process ended with exit code 3"),
-        ("hoards", r"policy 'mine': its first step failed \(.*MemoryError: Unable to allocate"),
+        ("hoards", r"policy 'mine': step raised .*MemoryError: Unable to allocate"),
     ],
 )
 def test_a_failed_trial_is_reported(plugged, does, sentence):
     with pytest.raises(PolicyError, match=sentence):
         try_out("mine", plugged(does), 60)
+
+
+@pytest.mark.parametrize(("wants_tracking", "values"), [(False, 8), (True, 10)])
+def test_a_trial_gives_the_observation_of_a_flight(wants_tracking, values):
+    policy = trial.ready(Steady(spec=PolicySpec("mine", "for tests", wants_tracking=wants_tracking)))
+    assert [observation.shape for observation, _ in policy.seen] == [(values,)] * 2
+    assert policy.resets == 2
+
+
+@pytest.mark.parametrize(
+    ("action", "sentence"),
+    [
+        ([0.0, 0.0], "list instead of a numpy array"),
+        ((0.0, 0.0, 0.0), r"an array of shape \[3\] instead of \[2\]"),
+        ((float("nan"), 0.0), r"\[nan, 0.0\], which is not finite"),
+    ],
+)
+def test_a_policy_with_a_wrong_action_is_refused(action, sentence):
+    with pytest.raises(PolicyError, match=f"'mine': step returned {sentence}; it must .*; repair it"):
+        trial.ready(Steady(action, PolicySpec("mine", "for tests")))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from softarm.policies import registry, trial
 from softarm.policies.base import MODELS, Policy, PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.config import Config
-from softarm.schemas.policy import OBSERVATION, REACH_GOAL
+from softarm.schemas.policy import REACH_GOAL
 
 STEPS, STEPS_S = 300, 2.0  # limits of the timing
 
@@ -67,11 +67,10 @@ def _golden(name: str) -> Golden:
 def timed(policy: Policy) -> tuple[float, ...]:
     """Return the duration of a policy's steps on random observations, ms."""
     generator = np.random.default_rng(0)
-    width = len(OBSERVATION) + (2 if policy.spec.wants_tracking else 0)
     policy.reset()
     took_ms = []
     for _ in range(STEPS):
-        observation = generator.normal(0.0, 0.2, width).astype(np.float32)
+        observation = generator.normal(0.0, 0.2, trial.observed_values(policy.spec)).astype(np.float32)
         begun_ns = time.monotonic_ns()
         policy.step(observation, np.zeros(len(REACH_GOAL), np.float32))
         took_ms.append((time.monotonic_ns() - begun_ns) * 1e-6)

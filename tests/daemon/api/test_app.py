@@ -221,7 +221,7 @@ def test_a_policy_is_loaded_and_warmed_up_outside_the_loop(loop, app, client_of,
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 200
     policy, thread = shelf.loaded[0]
-    assert (len(policy.seen), policy.resets) == (1, 2)
+    assert (len(policy.seen), policy.resets) == (2, 2)
     assert thread == "worker: loading the policy 'pid'"
     post = loop.taken[-1]
     assert post.request.policy == "pid"
@@ -266,7 +266,7 @@ def test_a_policy_that_never_loads_delays_neither_the_next_nor_the_end(loop, app
     [
         ({"name": "nix"}, 404, "no policy 'nix'; available: broken, lost, pid, reach"),
         ({"name": "lost"}, 422, "policy 'lost': its file is gone; available: pid, reach"),
-        ({"name": "broken"}, 422, "policy 'broken': its first step failed (ValueError: no weights)"),
+        ({"name": "broken"}, 422, "policy 'broken': step raised ValueError: no weights; repair it"),
         ({}, 422, "name: missing; must be text; GET /api/policies lists the names"),
         ({"name": 3}, 422, "name: must be text; GET /api/policies lists the names"),
     ],
