@@ -34,7 +34,17 @@ class Moment(NamedTuple):
     off_rail: NDArray[np.bool_]
 
 
-CLAMP_KEYS = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")  # of limits.rail, used by the braking law
+# Of limits.rail; the drive's acceleration_max_m_s2 has no part in the clamp.
+CLAMP_KEYS = (
+    "position_min_m",
+    "position_max_m",
+    "margin_m",
+    "velocity_max_m_s",
+    "latency_s",
+    "braking_m_s2",
+    "surge_m_s2",
+    "drag_m_s",
+)
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,10 @@ class ReachTask:
     # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
     rail_guard: bool = True
     # Parameters of that clamp, as in the daemon's limits.rail (softarm.schemas.config.RailLimits).
+    rail_position_min_m: float = RailLimits().position_min_m
+    rail_position_max_m: float = RailLimits().position_max_m
+    rail_margin_m: float = RailLimits().margin_m
+    rail_velocity_max_m_s: float = RailLimits().velocity_max_m_s
     rail_latency_s: float = RailLimits().latency_s
     rail_braking_m_s2: float = RailLimits().braking_m_s2
     rail_surge_m_s2: float = RailLimits().surge_m_s2

@@ -10,6 +10,7 @@ from softarm.schemas.config import DryveRail, Limits, RailLimits
 from softarm.schemas.messages import Command, RailReading
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
+from softarm.training.task.reach import ReachTask
 
 PERIOD_S = 1 / 30
 # On a grid: a cart that is dragged by a hair less than 0.1 m/s counts as dragged, one by 0.1 m/s does not, and float32
@@ -78,3 +79,18 @@ def test_the_guard_is_continued_from_a_snapshot() -> None:
     np.testing.assert_array_equal(guard.apply(*now), other.apply(*now))
     other.sent_m_s = guard.sent_m_s[-1]
     assert other.sent_m_s.shape == (2, 3)
+
+
+def test_a_task_keeps_every_rail_limit_of_the_clamp() -> None:
+    limits = RailLimits(
+        position_min_m=-0.1,
+        position_max_m=0.15,
+        velocity_max_m_s=0.5,
+        surge_m_s2=9.0,
+        braking_m_s2=3.0,
+        latency_s=0.05,
+        drag_m_s=0.1,
+        margin_m=0.03,
+    )
+    assert ReachTask().under(limits).rail_limits == limits
+    assert ReachTask().rail_limits == RailLimits()
