@@ -214,10 +214,11 @@ class Session:
         """Continue from a checkpoint. Raises CheckpointError if it was made with other settings."""
         # Settings that a checkpoint leaves out have their usual values.
         settings = usual(self.task, self.network.shape.inputs) | saved["settings"]
-        for key, value in self.settings.items():
-            if settings.get(key) != value:
+        for key in self.settings | settings:
+            before, now = settings.get(key), self.settings.get(key)
+            if before != now:
                 raise checkpoint.CheckpointError(
-                    f"{self.out / 'latest.pt'}: was trained with {key} = {settings.get(key)}, not {value}; "
+                    f"{self.out / 'latest.pt'}: was trained with {key} = {before}, not {now}; "
                     "resume with the same settings or give another --out"
                 )
         self.learner.restore(saved["learner"])

@@ -171,9 +171,14 @@ def test_the_graph_needs_no_operator_set_above_17():
     assert names == [["observation", "h_in", "c_in"], ["action", "h_out", "c_out"]]
 
 
-def test_other_settings_cannot_resume_a_run(finished, pool):
+def test_other_settings_cannot_resume_a_run(finished, tmp_path, pool):
     with pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
         session(finished.out, pool, resume=True, config=replace(SMALL, seed=4))
+    saved = checkpoint.load(finished.out / "latest.pt")
+    drawn = {"randomise.ranges.arm.payload.mass": [0.0, 0.1]}
+    checkpoint.save(tmp_path / "latest.pt", saved | {"settings": saved["settings"] | drawn})
+    with pytest.raises(CheckpointError, match=r"arm\.payload\.mass = \[0\.0, 0\.1\], not None"):
+        session(tmp_path, pool, resume=True)
 
 
 @pytest.mark.prove
