@@ -35,6 +35,12 @@ class TrainingConfig:
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 if the processor has it
     device: str = "cpu"  # device of the robots and the network, cpu or cuda
 
+    def __post_init__(self) -> None:
+        """Raise ValueError if the type of the matrix products is unknown."""
+        known = ("auto", *DTYPES)
+        if self.matrix_products not in known:
+            raise ValueError(f"run.matrix_products is {self.matrix_products!r}; give one of {', '.join(known)}")
+
     def products_on(self, device: torch.device) -> str:
         """Return the type of the matrix products on a device, float32 or bfloat16."""
         return quick_products(device) if self.matrix_products == "auto" else self.matrix_products

@@ -3,13 +3,13 @@
 A recipe is a few lines of YAML; its `settings` have the names under which a policy's file records them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from softarm.common.plugins import PluginError
 from softarm.common.words import did_you_mean
@@ -24,7 +24,18 @@ from softarm.training.task.environment import Randomisation
 from softarm.training.task.reach import TASKS, ReachTask, ShelfTask
 
 Setting = bool | int | float | str | tuple[float, ...]
-Part = TypeVar("Part")
+# Settings that must lie above zero.
+POSITIVE = (
+    "task.episode_steps",
+    "task.rate_hz",
+    "run.robots",
+    "run.physics_rate_hz",
+    "run.validate_every",
+    "run.validation_trials",
+    "ppo.horizon",
+    "ppo.minibatches",
+    "ppo.mini_epochs",
+)
 
 PRESETS: dict[str, ReachTask] = TASKS | {
     "reach-robust": replace(TASKS["reach-wide"], name="reach-robust"),
@@ -63,14 +74,6 @@ class Recipe(Strict):
     randomise: dict[str, tuple[float, float]] = Field(default_factory=dict)
     each_episode: bool = True  # draw a robot again for each of its episodes
 
-    @field_validator("task")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        known = (*PRESETS, *registry.names())
-        if name not in known:
-            raise ValueError(f"no task {name!r}; there is {', '.join(known)}")
-        return name
-
     def changed(self, model: Path | None, settings: Mapping[str, Setting | None]) -> "Recipe":
         """Return the recipe with changed values; None keeps a value."""
         given = {name: value for name, value in settings.items() if value is not None}
@@ -93,6 +96,9 @@ def preset(name: str) -> ReachTask:
     """Return a task by its name; built-in tasks take precedence. Raises ValueError."""
     if name in PRESETS:
         return PRESETS[name]
+    known = (*PRESETS, *registry.names())
+    if name not in known:
+        raise ValueError(f"no task '{name}'; {did_you_mean(name, known)}there is {', '.join(known)}")
     try:
         return registry.load(name)
     except PluginError as error:
@@ -100,18 +106,12 @@ def preset(name: str) -> ReachTask:
 
 
 def named(name: str) -> Recipe:
-    """Return a recipe by name: a shipped policy's, or the default for a plug-in's task. Raises ValueError."""
-    if name in RECIPES:
-        return RECIPES[name]
-    plugins = registry.names()
-    if name not in plugins:
-        known = (*RECIPES, *plugins)
-        raise ValueError(f"no task '{name}'; {did_you_mean(name, known)}there is {', '.join(known)}")
-    return Recipe.model_validate({"task": name})
+    """Return the recipe of a shipped policy, or the default one for a plug-in's task. Raises ValueError."""
+    return RECIPES.get(name) or Recipe.model_validate({"task": preset(name).name})
 
 
 def prepare(recipe: Recipe, seed: int) -> Ingredients:
-    """Replace names by objects. Raises ValueError for an unknown setting or effect."""
+    """Replace names by objects. Raises ValueError with every invalid setting, or for an unknown task or effect."""
     parts: dict[str, Any] = {
         "task": preset(recipe.task),
         "run": TrainingConfig(seed=seed),
@@ -119,12 +119,20 @@ def prepare(recipe: Recipe, seed: int) -> Ingredients:
         "network": NetworkShape(),
     }
     given: dict[str, dict[str, Setting]] = {part: {} for part in parts}
+    wrong = []
     for path, value in recipe.settings.items():
         part, _, name = path.partition(".")
-        if part not in parts:
-            raise ValueError(f"{path}: there is no part {part!r}; settings begin with {', '.join(parts)}")
-        given[part][name] = value
-    parts = {part: _changed(part, usual, given[part]) for part, usual in parts.items()}
+        if path == "run.seed":
+            wrong.append(f"run.seed is {value!r}; a recipe has no seed: give --seed, or the `seeds` of a sweep")
+        elif part not in parts:
+            wrong.append(f"{path}: there is no part {part!r}; settings begin with {', '.join(parts)}")
+        else:
+            given[part][name] = value
+    for part, usual in parts.items():
+        wrong += _problems(part, usual, given[part])
+    if wrong:
+        raise ValueError("; ".join(wrong))
+    parts = {part: replace(usual, **given[part]) for part, usual in parts.items()}
     return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
 
 
@@ -136,19 +144,27 @@ def begin(recipe: Recipe, seed: int, out: Path, pool: Executor, resume: bool) ->
     return Session(task, run, ppo, out, pool, resume, model, name, randomisation, network)
 
 
-def _changed(part: str, usual: Part, given: dict[str, Setting]) -> Part:
-    """Return a dataclass with other values of the same types."""
+def _problems(part: str, usual: Any, given: Mapping[str, Any]) -> Iterator[str]:
+    """Yield why settings of a dataclass are refused: unknown, of another type or length, or not above zero."""
     kinds = get_type_hints(type(usual))
-    known = {each.name for each in fields(usual)}  # type: ignore[arg-type]
+    known = {each.name for each in fields(usual)}
     for name, value in given.items():
+        path = f"{part}.{name}"
         if name not in known:
-            raise ValueError(f"{part}.{name}: no such setting; {part} has {', '.join(sorted(known))}")
-        before = getattr(usual, name)
-        number = isinstance(before, int | float) and not isinstance(before, bool)
-        fits = isinstance(value, type(before)) or (number and type(value) in (int, float))
-        if not fits or (type(before) is int and type(value) is not int):
-            raise ValueError(f"{part}.{name} is {value!r}; give a {kinds[name]}, such as {before!r}")
-    return replace(usual, **given)  # type: ignore[type-var]
+            yield f"{path}: no such setting; {part} has {', '.join(sorted(known))}"
+        elif not _fits(value, before := getattr(usual, name), kinds[name]):
+            yield f"{path} is {value!r}; give a value like {before!r}"
+        elif path in POSITIVE and value <= 0:
+            yield f"{path} is {value!r}; give a number above 0, such as {before!r}"
+
+
+def _fits(value: object, before: object, kind: Any) -> bool:
+    """Return whether a value has the type of another, and its length where the type states one."""
+    if isinstance(before, tuple):
+        return isinstance(value, tuple) and (... in get_args(kind) or len(value) == len(before))
+    if type(before) is float:
+        return type(value) in (int, float)
+    return type(value) is type(before)
 
 
 # Recipes of the policies known by name.

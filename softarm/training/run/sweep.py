@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from statistics import mean, stdev
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numba
 from pydantic import Field, ValidationError
@@ -51,21 +51,18 @@ class Sweep(Strict):
     A run with `like: NAME` starts from the recipe of that shipped policy.
     """
 
-    seeds: tuple[int, ...] = Field(min_length=1)
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
     base: dict[str, Any] = Field(default_factory=dict)
     runs: dict[str, dict[str, Any] | None] = Field(min_length=1)
 
-    def recipes(self) -> dict[str, Recipe]:
-        """Return the recipes by name; settings and randomise extend those of the base. Raises ValueError."""
-        made = {}
-        for name, own in self.runs.items():
-            lines = _merged(self.base, own or {})
-            if (like := lines.pop("like", None)) is not None:
-                if like not in tuple(RECIPES):  # `like` may be unhashable
-                    raise ValueError(f"runs.{name}.like is {like!r}; give one of {', '.join(RECIPES)}")
-                lines = _merged(RECIPES[like].model_dump(exclude_defaults=True), lines)
-            made[name] = Recipe.model_validate(lines)
-        return made
+    def recipe(self, name: str) -> Recipe:
+        """Return the recipe of a run; its settings and randomise extend those of the base. Raises ValueError."""
+        lines = _merged(self.base, self.runs[name] or {})
+        if (like := lines.pop("like", None)) is not None:
+            if like not in tuple(RECIPES):  # `like` may be unhashable
+                raise ValueError(f"like is {like!r}; give one of {', '.join(RECIPES)}")
+            lines = _merged(RECIPES[like].model_dump(exclude_defaults=True), lines)
+        return Recipe.model_validate(lines)
 
 
 def refuse_beside(options: Iterable[str]) -> None:
@@ -105,26 +102,28 @@ def load(path: Path) -> Sweep:
     """Read a sweep's file and check every run in it. Raises SweepError with all that is wrong."""
     try:
         sweep = fit(yaml_lines.read(path, f"write one, e.g. {EXAMPLE}"), Sweep)
-        made = sweep.recipes()
     except FileError as error:
         raise SweepError(f"{error}\nwrite e.g. {EXAMPLE}") from None
-    except ValidationError as error:
-        problems = (f"{'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors())
-        raise SweepError(f"{path}: {'; '.join(problems)}; write e.g. {EXAMPLE}") from None
-    except ValueError as error:
-        raise SweepError(f"{path}: {error}") from None
-    for name, each in made.items():
+    wrong: dict[str, list[str]] = {}  # problem -> its runs
+    for name in sweep.runs:
         try:
-            recipes.prepare(each, sweep.seeds[0])
-            model_file.load(each.model)
+            recipe = sweep.recipe(name)
+            recipes.prepare(recipe, sweep.seeds[0])
+            model_file.load(recipe.model)
+        except ValidationError as error:
+            text = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+            wrong.setdefault(text, []).append(name)
         except (ValueError, model_file.ModelFileError) as error:
-            raise SweepError(f"{path}: runs.{name}: {error}") from None
+            wrong.setdefault(str(error), []).append(name)
+    if wrong:
+        problems = "\n".join(f"runs.{', '.join(names)}: {text}" for text, names in wrong.items())
+        raise SweepError(f"{path}: {problems}\nwrite e.g. {EXAMPLE}")
     return sweep
 
 
 def plan(sweep: Sweep, out: Path) -> dict[str, Run]:
     """Return all runs by their names in messages, seed by seed."""
-    made = sweep.recipes().items()
+    made = {name: sweep.recipe(name) for name in sweep.runs}.items()
     runs = [Run(seed, name, recipe, out / name / f"seed-{seed}") for seed in sweep.seeds for name, recipe in made]
     return {f"{run.name}, seed {run.seed}": run for run in runs}
 

@@ -100,7 +100,14 @@ def test_the_table_has_mean_and_spread_over_seeds():
         ("seeds: [1]", "runs"),
         ("{seeds: [1], runs: {a: {task: fly}}}", "no task 'fly'"),
         ("{seeds: [1], runs: {a: {settings: {network.ordr: mlp}}}}", "network.ordr: no such setting; network has"),
-        ("{seeds: [1], runs: {a: {settings: {run.robots: many}}}}", "run.robots is 'many'"),
+        ("{seeds: [1], runs: {a: {settings: {run.robots: many}}}}", "run.robots is 'many'; give a value like 2048"),
+        ("{seeds: [1], runs: {a: {settings: {run.robots: true}}}}", "run.robots is True; give a value like 2048"),
+        ("{seeds: [1], runs: {a: {settings: {task.target_y_m: [0, 0, 0]}}}}", "give a value like (-0.4, 0.0)"),
+        ("{seeds: [1], runs: {a: {settings: {run.validate_every: 0}}}}", "give a number above 0, such as 20"),
+        ("{seeds: [1], runs: {a: {settings: {task.rate_hz: 0.0}}}}", "give a number above 0, such as 30.0"),
+        ("{seeds: [1], runs: {a: {settings: {run.matrix_products: fp16}}}}", "give one of auto, float32, bfloat16"),
+        ("{seeds: [1], runs: {a: {settings: {run.seed: 7}}}}", "run.seed is 7; a recipe has no seed: give --seed"),
+        ("{seeds: [-1], runs: {a: {}}}", "seeds"),
         ("{seeds: [1], runs: {a: {randomise: {arm.payload.mass: [0, 9]}}}}", "arm.payload"),
         ("{seeds: [1], runs: {a: {model: no-dely}}}", "did you mean no-delay"),
         ("{seeds: [1], runs: {a: {like: fly}}}", "give one of reach"),
@@ -121,11 +128,22 @@ def test_an_invalid_sweep_is_refused_before_any_run(tmp_path, text, words):
     assert words.split("'")[0] in result.output
 
 
+def test_every_problem_of_a_sweep_is_stated_once(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text("{seeds: [1], base: {settings: {ppo.horizon: 0, run.x: 1}}, runs: {a: {}, b: {}, c: {like: x}}}")
+    with pytest.raises(SweepError) as caught:
+        sweep.load(path)
+    both, like, _ = str(caught.value).splitlines()
+    assert "runs.a, b: run.x: no such setting" in both
+    assert "; ppo.horizon is 0; give a number above 0" in both
+    assert like.startswith("runs.c: like is 'x'")
+
+
 def test_like_starts_from_the_recipe_of_a_shipped_policy():
     wanted = sweep.Sweep.model_validate(
         {"seeds": [1], "base": {"like": "shelf", "frames": 7}, "runs": {"a": {"settings": {"task.muscle": False}}}}
     )
-    recipe = wanted.recipes()["a"]
+    recipe = wanted.recipe("a")
     assert (recipe.task, recipe.frames) == ("shelf", 7)
     assert prepare(recipe, 1).task.muscle is False
     assert prepare(RECIPES["shelf"], 1).task.muscle is True
@@ -133,7 +151,7 @@ def test_like_starts_from_the_recipe_of_a_shipped_policy():
 
 @pytest.mark.parametrize("name", ["compare", "ablation"])
 def test_the_shipped_sweeps_can_be_run(name):
-    assert sweep.load(BENCHMARKS / f"{name}.yaml").recipes()
+    assert sweep.load(BENCHMARKS / f"{name}.yaml").runs
 
 
 def test_settings_have_the_names_of_the_policys_file(tmp_path, pool):
