@@ -1,5 +1,6 @@
 """Settings of a training run, and checkpoints: files from which a run is resumed or a policy exported."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
+from softarm.training.task import registry
 from softarm.training.task.environment import ACTIONS, Randomisation
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.registry import plugin_of, rebuilt
 
 Settings = dict[str, str | float | int | bool | list[float] | None]
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -62,15 +63,17 @@ def recorded(
 ) -> Settings:
     """Return all settings as `part.field` -> value."""
     settings = flat(task=task, run=config, ppo=ppo, randomise=randomisation, network=shape)
-    if (plugin := plugin_of(task)) is not None:
+    if (plugin := registry.plugin_of(task)) is not None:
         settings["task.plugin"] = plugin
     return settings | {"model.name": model_name, "model.sha256": model_file.fingerprint(model)}
 
 
 def usual(task: ReachTask, inputs: int) -> Settings:
     """Return the default settings of a run of this kind of task."""
-    shape = NetworkShape(inputs=inputs, actions=ACTIONS)
-    return recorded(type(task)(), TrainingConfig(), PpoConfig(), Randomisation(), shape, Model(), "seed")
+    shape, plugin = NetworkShape(inputs=inputs, actions=ACTIONS), registry.plugin_of(task)
+    # A plug-in may publish an object whose class has fields without a default.
+    default = type(task)() if plugin is None else registry.load(plugin)
+    return recorded(default, TrainingConfig(), PpoConfig(), Randomisation(), shape, Model(), "seed")
 
 
 def flat(**parts: object) -> Settings:
@@ -128,9 +131,11 @@ def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
     return network, saved
 
 
-def task_of(saved: dict[str, Any]) -> ReachTask:
-    """Return the task of a checkpoint. Raises CheckpointError if the task's package is not installed."""
+def task_of(source: Path, saved: Mapping[str, Any]) -> ReachTask:
+    """Return the task that a file records. Raises CheckpointError if the installed packages lack it or its fields."""
     try:
-        return rebuilt(saved.get("kind", "reach"), saved["task"])
-    except PluginError as error:
-        raise CheckpointError(f"{error}: install the package that it was trained with") from error
+        return registry.rebuilt(saved.get("kind", "reach"), saved["task"])
+    except (PluginError, TypeError, ValueError) as error:
+        raise CheckpointError(
+            f"{source}: its task cannot be built ({error}); install the package and version that trained it"
+        ) from error

@@ -144,7 +144,7 @@ def finished(graph: Graph, inputs: int, state_size: int) -> onnx.ModelProto:
 def export_checkpoint(source: Path, target: Path) -> None:
     """Export a checkpoint as an ONNX policy named after its task. Raises CheckpointError."""
     network, saved = load_policy(source)
-    task = task_of(saved)
+    task = task_of(source, saved)
     if not task.muscle:
         _vent(network)
     shares = validated([Iteration(*row) for row in saved["curve"]])

@@ -28,13 +28,12 @@ from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import VARIANCE_FLOOR, NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
-from softarm.training.record.checkpoint import CheckpointError, TrainingConfig
+from softarm.training.record.checkpoint import CheckpointError, TrainingConfig, task_of
 from softarm.training.record.curve import Iteration
 from softarm.training.record.export import export_checkpoint
 from softarm.training.run.session import Session
 from softarm.training.task.environment import Randomisation
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.registry import rebuilt
 
 CRITIC_ITERATIONS = 8
 CRITIC_RATE = 3e-3  # of the value head alone, a linear fit
@@ -55,7 +54,7 @@ def load_weights(path: Path) -> Prior:
     """Read a policy of `training/record/export.py`; a second export has the same weights, bit for bit.
 
     Value head, value statistics and exploration noise are those of a new network. Raises CheckpointError if the file is
-    missing or was written by another program.
+    missing or was written by another program, or if the packages lack its task.
     """
     try:
         model = onnx.load(path)
@@ -71,7 +70,7 @@ def load_weights(path: Path) -> Prior:
     except (StopIteration, KeyError, TypeError, ValueError, RuntimeError, ValidationError) as error:
         reason = str(error).partition("\n")[0] or "without metadata"
         raise CheckpointError(f"{path}: not a policy of `softarm train` ({reason}); name one of its files") from error
-    return Prior(network, _task(metadata), metadata)
+    return Prior(network, _task(path, metadata), metadata)
 
 
 def begin(session: Session, prior: Prior, std: float = STD, critic_iterations: int = CRITIC_ITERATIONS) -> None:
@@ -104,10 +103,11 @@ def _frames(metadata: PolicyMetadata) -> float:
     return float(sum(value for value in given if isinstance(value, int | float)))
 
 
-def _task(metadata: PolicyMetadata) -> ReachTask:
-    """Return the task with the settings of its training."""
+def _task(path: Path, metadata: PolicyMetadata) -> ReachTask:
+    """Return the task with the settings of its training. Raises CheckpointError."""
     given = {key.partition(".")[2]: value for key, value in metadata.training.items() if key.startswith("task.")}
-    return rebuilt(metadata.task, {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})
+    fields = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
+    return task_of(path, {"kind": metadata.task, "task": fields})
 
 
 def _network(values: dict[str, Tensor], metadata: PolicyMetadata) -> PolicyNetwork:

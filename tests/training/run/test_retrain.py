@@ -91,6 +91,12 @@ def test_an_invalid_policy_file_is_refused(tmp_path):
     onnx.save(bare, tmp_path / "bare.onnx")
     with pytest.raises(CheckpointError, match="without metadata"):
         load_weights(tmp_path / "bare.onnx")
+    newer = onnx.load(MODELS / "reach.onnx")
+    for each in newer.metadata_props:
+        each.value = each.value.replace('"task.name"', '"task.title"')
+    onnx.save(newer, tmp_path / "newer.onnx")
+    with pytest.raises(CheckpointError, match=r"newer\.onnx: its task cannot be built .*title"):
+        load_weights(tmp_path / "newer.onnx")
     other = onnx.load(MODELS / "reach.onnx")
     other.graph.initializer[0].name = "renamed"
     onnx.save(other, tmp_path / "other.onnx")

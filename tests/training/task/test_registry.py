@@ -1,6 +1,7 @@
 """Tasks of other packages: found by name, trained, recorded, and refused with a reason."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("torch")
 
 from softarm.common.plugins import PluginError
 from softarm.policies.onnx_policy import OnnxPolicy
-from softarm.training.record.checkpoint import CheckpointError, load, task_of
+from softarm.training.record.checkpoint import CheckpointError, load, task_of, usual
 from softarm.training.run import recipe, retrain
 from softarm.training.task import registry
 from softarm.training.task.environment import Environment
@@ -33,6 +34,12 @@ NEAR = """
 
     high = ReachTask(name="whatever", target_z_m=(0.7, 0.75))
 
+    @dataclass(frozen=True)
+    class Sloped(ReachTask):
+        slope: float = field(kw_only=True)
+
+    sloped = Sloped(slope=0.1)
+
     class Newer(Near):
         interface = 2
 
@@ -47,8 +54,8 @@ NEAR = """
 
 @pytest.fixture
 def near(install):
-    names = {"near": "Near", "high": "high", "newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger"}
-    install("tasks_of_theirs", NEAR, "softarm.tasks", **names)
+    names = {"newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger"}
+    install("tasks_of_theirs", NEAR, "softarm.tasks", near="Near", high="high", sloped="sloped", **names)
 
 
 def test_a_task_has_the_name_of_its_entry_point(near):
@@ -74,6 +81,18 @@ def test_a_task_has_the_name_of_its_entry_point(near):
 def test_an_unusable_task_is_refused_with_the_reason(name, text, near):
     with pytest.raises(PluginError, match=f"task '{name}': .*{text}"):
         registry.load(name)
+
+
+def test_a_published_task_is_its_own_default(near):
+    task = registry.load("sloped")
+    settings = usual(replace(task, slope=0.2), 10)
+    assert (settings["task.slope"], settings["task.plugin"]) == (0.1, "sloped")
+
+
+def test_a_field_that_the_task_no_longer_has_is_stated(near):
+    for fields in ({"plugin": "near", "gone": 1.0}, {"plugin": "gone"}):
+        with pytest.raises(CheckpointError, match=r"best\.pt: its task .*gone.*; install the package and version"):
+            task_of(Path("best.pt"), {"task": fields})
 
 
 def test_the_environment_uses_the_tasks_reward(near):
@@ -108,12 +127,9 @@ def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path, pool
     recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)
     saved = load(out / "best.pt")
     assert saved["settings"]["task.plugin"] == "near"
-    assert task_of(saved) == registry.load("near")
+    assert task_of(out / "best.pt", saved) == registry.load("near")
     policy = OnnxPolicy(str(out / "near.onnx"))
     assert policy.metadata.name == "near"
     assert policy.metadata.training["task.weight"] == 2.0
     assert "task's own ranges" in policy.metadata.training["run.validation_set"]
     assert retrain.load_weights(out / "near.onnx").task == registry.load("near")
-    saved["task"]["plugin"] = "gone"
-    with pytest.raises(CheckpointError, match=r"no task 'gone'.*: install the package that it was trained with"):
-        task_of(saved)
