@@ -91,7 +91,7 @@ def close_gap(
         config = load_config(config_file)
         model = None if robot == REALITY else flown_model(Path(robot))
         held_out = steps.independent(faults) if model is None else steps.simulated(robot, model)
-        file, other = steps.policy_file(policy), steps.policy_file(adaptive, "--adaptive")
+        file, other = steps.policy_file(policy, True), steps.policy_file(adaptive, False)
         steps.make_folder(out)
         leaves(f"the results so far are in {out}; they cannot be continued: start again with another --out")
         with steps.timed(spent, "diagnose"), bar("reading") as shown:

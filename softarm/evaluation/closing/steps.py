@@ -22,6 +22,7 @@ from softarm.evaluation.closing.fly import MOST, NONE, Flown, Replanning, compar
 from softarm.evaluation.closing.outcomes import ADAPTIVE, HELD_OUT, NEW, NOMINAL, OLD, PATCHED, REPLANNED, TITLES
 from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.robots import with_faults
+from softarm.evaluation.runner import load
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import RailLimits
@@ -184,20 +185,28 @@ def of_the_nominal_body(place: Place, nominal: Model) -> Place:
     return replace(place, robot=replace(place.robot, body=nominal.arm, cart=nominal.cart))
 
 
-def policy_file(name: str, option: str = "--policy") -> Path:
-    """Return the ONNX file of a policy, given as a path or as the name of a shipped one.
+def policy_file(name: str, is_retrained: bool) -> Path:
+    """Return the ONNX file of --policy or --adaptive, given as a path or as the name of a shipped one.
+
+    Args:
+        is_retrained: The policy is that of --policy, which is retrained.
 
     Raises:
-        ValueError: The file does not exist.
+        ValueError: The file does not exist, or its policy flies to targets in a shelf.
+        PolicyError: The policy cannot be loaded.
         CheckpointError: The policy cannot be retrained.
     """
+    option = f"{'--policy' if is_retrained else '--adaptive'} {name}"
     file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
     if not file.is_file():
         shipped = sorted(path.stem for path in MODELS.glob("*.onnx"))
         instead = f"{did_you_mean(name, shipped)}name an .onnx file of `softarm train`, or one of {', '.join(shipped)}"
-        raise ValueError(f"{option} {name}: no such file; {instead}")
+        raise ValueError(f"{option}: no such file; {instead}")
     # Fail here rather than after minutes of diagnosis.
-    load_weights(file)
+    if is_retrained:
+        load_weights(file)
+    if load(file).spec.shelf_depth_m is not None:
+        raise ValueError(f"{option}: flies into a shelf, these flights are in free space; name one of the task reach")
     return file
 
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from torch import nn
 
 from softarm.daemon.config.configuration import load
 from softarm.diagnosis.engine.result import Diagnosis
@@ -19,7 +20,8 @@ from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.verdict import Verdict, Where
 from softarm.simulator import model_file
-from softarm.training.record import curve
+from softarm.training.record import curve, foreign
+from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.run.retrain import RetrainingConfig, load_weights
 from tests.evaluation.closing import cases
 
@@ -154,6 +156,21 @@ def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_prec
     assert [each["wires"] for each in written] == [None]
     assert written[0]["ways"] == summary["ways"]
     assert summary["wires"]["ended"] == "not wanted"
+
+
+def test_only_a_policy_of_training_is_retrained_and_any_network_may_adapt(tmp_path, monkeypatch):
+    monkeypatch.setattr(foreign, "VALIDATION_TRIALS", 12)
+    file = tmp_path / "foreign.onnx"
+    foreign.export(nn.Sequential(nn.Linear(10, 2)), file)
+    assert steps.policy_file(str(file), is_retrained=False) == file
+    with pytest.raises(CheckpointError, match=r"foreign\.onnx: not a policy of `softarm train`"):
+        steps.policy_file(str(file), is_retrained=True)
+
+
+@pytest.mark.parametrize(("is_retrained", "option"), [(True, "--policy"), (False, "--adaptive")])
+def test_a_policy_for_the_shelf_is_refused(is_retrained, option):
+    with pytest.raises(ValueError, match=f"{option} shelf: flies into a shelf, .*; name one of the task reach"):
+        steps.policy_file("shelf", is_retrained)
 
 
 def test_another_rig_has_no_policy(tmp_path):
