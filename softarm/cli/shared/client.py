@@ -24,13 +24,13 @@ STOP_TIMEOUT_S = 1.0  # of the dedicated stop port; the daemon answers within 0.
 
 def url_of(api: "Api") -> str:
     """Return the address at which a daemon of this configuration answers on this computer."""
-    return f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
+    return http.local_url(api.host, api.port or 8080)
 
 
 def options_for(api: "Api") -> str:
     """Return the options that other verbs need for a daemon of this configuration; empty with the default values."""
     url, token = url_of(api), api.token_file
-    address = "" if url == DEFAULT_URL else f" --url {url}"
+    address = "" if url == DEFAULT_URL else f" --url {shlex.quote(url)}"
     return address + ("" if token is None else f" --token-file {shlex.quote(str(token))}")
 
 

@@ -132,9 +132,9 @@ class Bench(SoftwareInTheLoop):
         if twin is not None:
             self._twin_options = list(twin.options)
             return
-        host, token = config.api.host, config.api.token_file
+        token = config.api.token_file
         headers = {} if token is None else {"Authorization": f"Bearer {token.read_text(encoding='utf-8').strip()}"}
-        self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.settings['api']['port']}"
+        self.url = http.local_url(config.api.host, self.settings["api"]["port"])
         self.client.close()
         self.client = http.client(self.url, headers)
 
