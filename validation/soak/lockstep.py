@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softarm.common.processes import WorkerDied
 from softarm.daemon.control.records import EStop, Mode, Outputs, Request
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
@@ -133,6 +134,7 @@ def soak_both(
     Raises:
         SoftwareInTheLoopError: Twin or daemon does not start.
         PolicyError: The policy cannot be loaded.
+        WorkerDied: The process in lockstep ended early.
     """
     if not days:
         return realtime.soak(hours, seed, logs, on_progress), None
@@ -149,6 +151,12 @@ def soak_both(
         while not receiver.poll(POLL_S):
             on_progress("in lockstep", stepped_share.value)
         stepped = receiver.recv()
+    except EOFError:
+        stepping.join()
+        raise WorkerDied(
+            f"the soak in lockstep ended early (exit code {stepping.exitcode}; negative: a signal): see whether the "
+            "memory is full, then start again"
+        ) from None
     finally:
         stepping.kill()
         stepping.join()

@@ -1,10 +1,13 @@
 """Soak tests in lockstep and in real time: what is watched, what is reported, what the command ends with."""
 
 import json
+import os
+import signal
 
 import pytest
 from click.testing import CliRunner
 
+from softarm.common.processes import WorkerDied
 from softarm.policies.hold import Hold
 from softarm.policies.pid import Pid
 from validation.soak import lockstep, page, realtime
@@ -17,6 +20,10 @@ DAYS = 0.5 / 24 / 60  # half a minute
 class Fails(Pid):
     def step(self, observation, goal):
         raise ValueError("as it was made to")
+
+
+def kill_itself(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +64,13 @@ def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     assert "too short to decide" in done.output
     assert json.loads(kept.read_text())["real_time"] is None
     assert CliRunner().invoke(main, ["--hours", "0"]).exit_code == 2
+
+
+def test_a_killed_process_in_lockstep_is_stated(monkeypatch, tmp_path):
+    monkeypatch.setattr(lockstep, "_step", kill_itself)
+    monkeypatch.setattr(realtime, "soak", lambda *_: None)
+    with pytest.raises(WorkerDied, match=r"ended early \(exit code -9"):
+        lockstep.soak_both(1.0, DAYS, 1, "pid", tmp_path, lambda what, share: None)
 
 
 @pytest.mark.prove
