@@ -139,7 +139,10 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
             if name not in places:
                 raise ValueError(f"unknown option {name}; this task takes {', '.join(places)}")
             shape = (self.num_envs, 2) if name == "target_m" else (self.num_envs,)
-            goal = np.broadcast_to(np.asarray(value, dtype=np.float32), shape)
+            try:
+                goal = np.broadcast_to(np.asarray(value, dtype=np.float32), shape)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} is {value!r}; give numbers of the shape {shape[1:]} or {shape}") from None
             low, high = self._low[places[name]], self._high[places[name]]
             if not ((low <= goal) & (goal <= high)).all():
                 raise ValueError(f"{name} is {value}; give something within {low} .. {high}")

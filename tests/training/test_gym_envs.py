@@ -219,6 +219,9 @@ def test_the_goal_can_be_set_by_options() -> None:
         one("Reach").reset(options={"depth_m": 0.1})
     with pytest.raises(ValueError, match=r"target_m is \(5, 0.6\); give something within"):
         one("Reach").reset(options={"target_m": (5, 0.6)})
+    for value in ((0, 0.6, 1), "ab"):
+        with pytest.raises(ValueError, match=r"target_m is .*; give numbers of the shape \(2,\) or \(1, 2\)"):
+            one("Reach").reset(options={"target_m": value})
 
 
 def test_the_model_can_be_a_shipped_name() -> None:
