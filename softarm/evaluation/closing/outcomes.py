@@ -42,8 +42,8 @@ class Paired(NamedTuple):
     @property
     def text(self) -> str:
         """The difference as text: `+6.8 % (2.5 to 11.1)`."""
-        low, high = (f"{100 * end:+.1f}".replace("+0.0", "0").replace("-0.0", "0") for end in (self.low, self.high))
-        return f"{100 * self.value:+.1f} % ({low} to {high})"
+        value, low, high = (f"{100 * share:+.1f}".replace("+0.0", "0").replace("-0.0", "0") for share in self)
+        return f"{value} % ({low} to {high})"
 
 
 @dataclass(frozen=True)

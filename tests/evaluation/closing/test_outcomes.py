@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softarm.evaluation.closing.outcomes import Flights, always_valid, better, joined, settled, stops_more
+from softarm.evaluation.closing.outcomes import Flights, Paired, always_valid, better, joined, settled, stops_more
 
 
 def flights(reached, stops=None, size=1):
@@ -78,3 +78,4 @@ def test_joined_flights_keep_distinct_groups():
 
 def test_a_difference_is_written_in_percent():
     assert better(flights([True, False] * 60), flights([True, True] * 60)).text.startswith("+50.0 % (+")
+    assert Paired(-0.0001, -0.05, 0.0).text == "0 % (-5.0 to 0)"
