@@ -4,14 +4,6 @@ from collections.abc import Mapping
 
 import httpx
 
-ALL_ADDRESSES = ("0.0.0.0", "::")  # of a server that listens on every network
-
-
-def local_url(host: str, port: int) -> str:
-    """Return the base URL at which this computer reaches its own server on a host and port, in brackets for IPv6."""
-    reached = "127.0.0.1" if host in ALL_ADDRESSES else host
-    return f"http://[{reached}]:{port}" if ":" in reached else f"http://{reached}:{port}"
-
 
 def client(url: str, headers: Mapping[str, str] | None = None, timeout_s: float = 5.0) -> httpx.Client:
     """Return a client for a base URL; raise httpx.InvalidURL or ValueError for an invalid one.

@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Self
 
 from softarm.common import realtime
+from softarm.common.address import local_url
 from softarm.daemon.access.auth import Sessions
 from softarm.daemon.api.app import create_app
 from softarm.daemon.api.context import ApiContext
@@ -183,12 +184,12 @@ class Daemon:
     @property
     def url(self) -> str:
         """Return the address of the API."""
-        return f"http://{self.config.api.host}:{self.port}"
+        return local_url(self.config.api.host, self.port)
 
     @property
     def stop_url(self) -> str:
         """Return the address of the dedicated stop port."""
-        return f"http://{self.config.api.host}:{self.stop_port}/api/stop"
+        return f"{local_url(self.config.api.host, self.stop_port)}/api/stop"
 
     def stop_by_key(self) -> None:
         """Request an emergency stop from the terminal."""

@@ -2,7 +2,6 @@
 
 import ssl
 
-import httpx
 import pytest
 
 from softarm.common import http
@@ -33,17 +32,3 @@ def test_a_proxy_of_the_environment_is_ignored(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
     with http.client("http://127.0.0.1:8000") as client:
         assert client.trust_env is False
-
-
-@pytest.mark.parametrize(
-    ("host", "url"),
-    [
-        ("::1", "http://[::1]:8080"),
-        ("::", "http://127.0.0.1:8080"),
-        ("0.0.0.0", "http://127.0.0.1:8080"),
-        ("arm.example", "http://arm.example:8080"),
-    ],
-)
-def test_the_url_of_a_server_on_this_computer_is_valid(host: str, url: str) -> None:
-    assert http.local_url(host, 8080) == url
-    assert httpx.URL(url).port == 8080

@@ -9,7 +9,10 @@ import click
 
 from softarm.cli.shared.completion import policies
 from softarm.cli.shared.console import FILE, FOLDER, check_places, json_option, write, write_json
-from softarm.common.processes import bar
+from softarm.cli.shared.errors import failing
+from softarm.common.processes import WorkerDied, bar
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
+from softarm.policies.base import PolicyError
 from validation.soak import lockstep, page
 
 
@@ -52,7 +55,7 @@ def main(
         kept.mkdir(parents=True, exist_ok=True)
         if any(kept.iterdir()):
             raise click.ClickException(f"--logs {kept}: is not empty, and its size is measured; name a new folder")
-        with bar("soaking") as shown:
+        with failing(SoftwareInTheLoopError, PolicyError, WorkerDied), bar("soaking") as shown:
             real, stepped = lockstep.soak_both(hours, lockstep_days, seed, policy, kept, shown.report)
     write_json(json_file, page.figures(real, stepped))
     if report is not None:

@@ -12,6 +12,7 @@ import httpx
 from softarm.cli.shared.console import given, token_of, token_option
 from softarm.cli.shared.errors import Unreachable, fail, leaves
 from softarm.common import http
+from softarm.common.address import local_url
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ STOP_TIMEOUT_S = 1.0  # of the dedicated stop port; the daemon answers within 0.
 
 def url_of(api: "Api") -> str:
     """Return the address at which a daemon of this configuration answers on this computer."""
-    return http.local_url(api.host, api.port or 8080)
+    return local_url(api.host, api.port or 8080)
 
 
 def options_for(api: "Api") -> str:

@@ -14,6 +14,7 @@ from itertools import combinations
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
 
+from softarm.common.address import is_loopback
 from softarm.schemas.config import Api
 
 TOKEN_MIN = 16  # characters
@@ -40,16 +41,6 @@ class AuthError(Exception):
     def __init__(self, key: str, text: str) -> None:
         super().__init__(text)
         self.key = key  # in the section `api`
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this computer can reach an address."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
 
 
 def load_tokens(config: Api) -> dict[Role, str]:

@@ -5,7 +5,7 @@ Checked for every configuration file, but not in `Config` itself: the configurat
 
 from collections.abc import Iterator
 
-from softarm.daemon.access.auth import is_loopback
+from softarm.common.address import is_loopback
 from softarm.daemon.control.checks import OUTSIDE_M
 from softarm.daemon.control.safety import KNOWN_S
 from softarm.schemas.config import Config

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
+from softarm.common.address import is_loopback
 from softarm.common.finding import Finding, problem
 from softarm.common.plugins import PluginError
 from softarm.common.yaml_lines import Place
 from softarm.daemon.access import sockets
-from softarm.daemon.access.auth import AuthError, is_loopback, load_tokens
+from softarm.daemon.access.auth import AuthError, load_tokens
 from softarm.daemon.config import configuration
 from softarm.daemon.config.configuration import ConfigurationError, Loaded, latch_path
 from softarm.daemon.logbook import folder

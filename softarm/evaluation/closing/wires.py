@@ -15,6 +15,7 @@ import httpx
 import numpy as np
 
 from softarm.common import http
+from softarm.common.address import local_url
 from softarm.daemon.control.failsafe import TABLE
 from softarm.daemon.control.workspace import refusals as not_flown
 from softarm.daemon.limits.findings import RailFindings
@@ -134,7 +135,7 @@ class Bench(SoftwareInTheLoop):
             return
         token = config.api.token_file
         headers = {} if token is None else {"Authorization": f"Bearer {token.read_text(encoding='utf-8').strip()}"}
-        self.url = http.local_url(config.api.host, self.settings["api"]["port"])
+        self.url = local_url(config.api.host, self.settings["api"]["port"])
         self.client.close()
         self.client = http.client(self.url, headers)
 
