@@ -24,6 +24,7 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 STATE = (*Observation._fields, "target_y_m", "target_z_m")
 ACTIONS = Command._fields[1:]  # without the drive's enable
 TASK = "swing the tip onto the target"
+_ROBOT = "softarm"
 _FILE = "chunk-000/file-000.parquet"
 _NAMES = {"observation.state": STATE, "action": ACTIONS}
 _EXPORT = "write one with `softarm logs export --to lerobot`"
@@ -85,12 +86,13 @@ def write(folder: Path, found: Iterable[Episode | None]) -> Written:
     """Write a dataset, replacing an earlier one in the folder.
 
     Raises:
-        ValueError: There is no complete goal.
+        ValueError: There is no complete goal, or the folder holds data of another program.
         OSError: The folder cannot be written.
         ModuleNotFoundError: pyarrow is not installed.
     """
     import pyarrow
 
+    _check_own(folder)
     every = list(found)
     kept = [episode for episode in every if episode is not None]
     if not kept:
@@ -153,6 +155,21 @@ def read(folder: Path) -> list[Episode]:
     return [Episode(seen, done, bool(reached.any())) for seen, done, reached in parts]
 
 
+def _check_own(folder: Path) -> None:
+    """Raise ValueError unless data in the folder are a dataset that `write` has written."""
+    if not any((folder / name).exists() for name in ("data", "meta")):
+        return
+    try:
+        own = json.loads((folder / "meta/info.json").read_text(encoding="utf-8"))["robot_type"] == _ROBOT
+    except (OSError, ValueError, KeyError, TypeError):
+        own = False
+    if not own:
+        raise ValueError(
+            f"{folder}: has data or meta of another origin; only a dataset of `softarm logs export` is replaced; "
+            "choose another --out"
+        )
+
+
 def _columns(episode: Episode, number: int) -> dict[str, NDArray[Any]]:
     """Return the columns of an episode, without its place in the dataset."""
     size = len(episode.state)
@@ -172,7 +189,7 @@ def _columns(episode: Episode, number: int) -> dict[str, NDArray[Any]]:
 def _info(count: int, frames: int, data: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return {
         "codebase_version": "v3.0",
-        "robot_type": "softarm",
+        "robot_type": _ROBOT,
         "total_episodes": count,
         "total_frames": frames,
         "total_tasks": 1,

@@ -68,6 +68,18 @@ def test_a_log_without_a_complete_goal_is_an_error(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_only_an_own_dataset_is_replaced(log, dataset, tmp_path):
+    folder, written = dataset
+    assert lerobot.write(folder, lerobot.episodes(log.path)) == written
+    for other in ("data/thesis.txt", "meta/info.json"):
+        file = tmp_path / other[:4] / other
+        file.parent.mkdir(parents=True)
+        file.write_text("{}")
+        with pytest.raises(ValueError, match="only a dataset of `softarm logs export` is replaced"):
+            lerobot.write(tmp_path / other[:4], lerobot.episodes(log.path))
+        assert [each for each in file.parents[1].rglob("*") if each.is_file()] == [file]
+
+
 def test_a_dataset_is_read_as_it_was_written(log, dataset):
     folder, _ = dataset
     for read, wrote in zip(lerobot.read(folder), lerobot.episodes(log.path), strict=True):
