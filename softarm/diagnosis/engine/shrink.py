@@ -18,7 +18,7 @@ def interval(before: Array, after: Array) -> tuple[float, float, float]:
     """Return 1 - sqrt(sum after / sum before) and its 95 % interval, low and high.
 
     Args:
-        before: squares of the gap by trial, [K].
+        before: squares of the gap by part of the data (trial or block), [K], two or more.
         after: the same with the effects, [K].
     """
     value, low, high = drawn(before, after)
@@ -46,7 +46,9 @@ def with_rest(shrink: float, times: float) -> float:
 
 
 def drawn(before: Array, after: Array) -> tuple[float, float, float]:
-    """Return the shrink and its 95 % bootstrap interval over the parts of the data."""
+    """Return the shrink and its 95 % bootstrap interval over the parts of the data, two or more."""
+    if len(before) < 2:
+        raise ValueError(f"{len(before)} part of the data; an interval needs 2 or more: give its blocks instead")
     value = 1 - float(np.sqrt(after.sum() / before.sum())) if before.sum() > 0 else 0.0
     draws = resample.draws(len(before))
     low, high = resample.interval(1 - np.sqrt((draws @ after) / np.maximum(draws @ before, 1e-30)))

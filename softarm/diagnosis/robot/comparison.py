@@ -47,9 +47,13 @@ class Comparison:
         """Return measured minus simulated tip (y, z), from commands alone, at each point, m, [P, M, 2]."""
         return np.stack(self.tips.fetch([tuple(sorted(point.items())) for point in points]))
 
-    def squares(self, gap: NDArray[np.floating], trial: NDArray[np.int64]) -> Array:
-        """Return the squares of a gap [M, S] in each trial, [K]."""
-        return np.array([np.nansum(gap[trial == k].astype(float) ** 2) for k in range(len(self.trials))])
+    def squares(self, gap: NDArray[np.floating]) -> Array:
+        """Return the squares of a gap [M, S] by trial, [K], or by block if there is only one trial."""
+        part, count = self.grid.sample[1], len(self.trials)
+        if count < 2:
+            count = len(self.setup.blocks)
+            part = self.setup.by_sample(self.views[0], np.arange(count))
+        return np.array([np.nansum(gap[part == k].astype(float) ** 2) for k in range(count)])
 
 
 def compare(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Comparison:
@@ -63,5 +67,10 @@ def compare(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Comp
         raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
     progress("simulating each stage alone", 0.08)
     setup = Setup(views, nuisances(model), kinds)
+    if len(setup.blocks) < 2:
+        raise TrialError(
+            f"{trials[0].source}: is one trial of 2 s, which leaves no held-out part; longer than that is needed; "
+            "record longer, or add a second trial"
+        )
     tips = Cache(lambda keys: tip_gap(grid, model, [dict(key) for key in keys]))
     return Comparison(tuple(trials), nominal, model, grid, views, setup, tips)

@@ -83,7 +83,7 @@ def stage_gap(comparison: Comparison, view: View, gaps: Gaps, points: Sequence[P
     """Return a stage's gap; points: the named effects' parameters, fitted without each fold."""
     found = gaps.fetch([{}, *points])
     patched = comparison.held_out(np.stack([found[gaps.key(point)] for point in points]))
-    squares = (comparison.squares(gap, view.trial) for gap in (found[()], patched))
+    squares = (comparison.squares(gap) for gap in (found[()], patched))
     return HeldOutGap(rms(found[()]), rms(patched), share(*interval(*squares)))
 
 
@@ -94,8 +94,7 @@ def held_out_tip_gap(comparison: Comparison, points: Sequence[Point]) -> HeldOut
         return None
     patched = comparison.held_out(tips[1:])
     before, after = (float(np.sqrt(2) * rms(gap)) for gap in (tips[0], patched))
-    trial = comparison.grid.sample[1]
-    squares = (comparison.squares(gap, trial) for gap in (tips[0], patched))
+    squares = (comparison.squares(gap) for gap in (tips[0], patched))
     return HeldOutGap(before, after, share(*chain_interval(*squares)))
 
 
@@ -115,8 +114,7 @@ def effect_shrink(
     tips = [comparison.held_out(gaps) for gaps in np.split(comparison.tip_gaps([*less, *named.fold_points]), 2)]
     chain = None
     if np.isfinite(tips).any():
-        trial = comparison.grid.sample[1]
-        chain = share(*chain_interval(*(comparison.squares(tip, trial) for tip in tips)))
+        chain = share(*chain_interval(*map(comparison.squares, tips)))
     return Shrink(stage=share(*stage), chain=chain)
 
 
@@ -127,12 +125,15 @@ def _stage_of(effect: SelectedEffect) -> str:
 
 
 def _squares(plain: FitProblem, residual: WhitenedResidual, fold_points: Sequence[Point], trials: int) -> Array:
-    """Return the squares of a stage's residual by trial [K] in noise floors, each trial at its own fold's point."""
+    """Return the squares of a stage's residual in noise floors, by trial [K], or by block if there is only one trial.
+
+    Each trial, or block, is judged at its own fold's point.
+    """
     moments = residual.moments(list(fold_points))
-    folds, parts = list(np.unique(plain.fold)), dict(residual.blocks)
-    squares = np.zeros(trials)
-    for name, fold in zip(plain.blocks, plain.fold, strict=True):
-        if name in parts:
-            rows = moments[folds.index(fold)].rows[parts[name]]
-            squares[name[0]] += float(rows @ rows)
+    folds, rows_of = list(np.unique(plain.fold)), dict(residual.blocks)
+    squares = np.zeros(len(plain.blocks) if trials < 2 else trials)
+    for i, (name, fold) in enumerate(zip(plain.blocks, plain.fold, strict=True)):
+        if name in rows_of:
+            rows = moments[folds.index(fold)].rows[rows_of[name]]
+            squares[i if trials < 2 else name[0]] += float(rows @ rows)
     return squares

@@ -37,3 +37,8 @@ def test_the_tip_s_interval_holds_where_lively_flights_leave_more():
 def test_a_gap_that_did_not_shrink_keeps_its_bootstrap_interval():
     assert with_rest(-0.2, 9.0) == -0.2
     assert with_rest(1.0, 9.0) == 1.0
+
+
+def test_a_single_part_of_the_data_has_no_interval():
+    with pytest.raises(ValueError, match="1 part of the data"):
+        interval(np.ones(1), np.zeros(1))

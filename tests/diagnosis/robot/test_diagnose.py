@@ -90,6 +90,16 @@ def test_the_total_shrink_has_an_interval_around_its_share(diagnosed):
     assert diagnosis.held_out == "kind"
 
 
+def test_the_shrink_of_a_single_trial_has_an_interval_over_its_blocks(campaign):
+    model = Model(effects={name: values for name, values in SEED.items() if name != "pressure.lag"})
+    diagnosis = diagnose(campaign(kinds=("pressure-multisine",)), model)
+    (effect,) = diagnosis.verdict.effects
+    assert effect.name == "pressure.lag"
+    total = diagnosis.total_shrink
+    for found in (effect.shrink.stage, effect.shrink.chain, total["pressure"], total["chain"]):
+        assert found.high - found.low > 0.021  # what is added to every interval
+
+
 def test_the_shrink_holds_on_excitations_that_no_fit_has_seen(diagnosed, campaign):
     diagnosis = diagnosed(THREE)
     fresh = measure_shrink(campaign(kinds=("sinusoid", "rail-chirp")), diagnosis.nominal, diagnosis.patched)
