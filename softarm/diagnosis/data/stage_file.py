@@ -16,7 +16,7 @@ from softarm.schemas.stage_model import CHANNELS
 from softarm.schemas.trial import Effects, Mechanism, SeveralFile, StageFile, TableForm, TableTrial
 
 EXAMPLE = "one of diagnosis/rigs/stages/*.yaml"
-_STAR = re.compile(r"\*+|\?|\[[^\]]*\]")
+_STAR = re.compile(r"\*+|\?|\[!?[^!\]][^\]]*\]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +171,11 @@ def _has_segment(about: Mechanism) -> bool:
 def _fitting(base: Path, pattern: str) -> dict[tuple[str, ...], Path]:
     """Files that match a pattern, by the text that its wildcards stand for."""
     plain, parts = Path(), list(Path(pattern).parts)
+    if wrong := [part for part in parts if "**" in part and part != "**"]:
+        raise TrialError(
+            f"{base / pattern}: files: {wrong[0]} has ** within a name; allowed as a whole folder (**/*.csv), "
+            "or * within a name; correct the pattern"
+        )
     while not _STAR.search(parts[0]):  # folders before the first wildcard may lead anywhere
         plain /= parts.pop(0)
     base, pattern = base / plain, "/".join(parts)
@@ -191,7 +196,8 @@ def _as_expression(pattern: str) -> str:
             found.append("(.*?)/?" if pattern[at : at + 1] == "/" else "(.*)")
             at += pattern[at : at + 1] == "/"
         else:
-            found.append({"*": "([^/]*)", "?": "([^/])"}.get(star[0], f"({star[0]})"))
+            letters = star[0].replace("[!", "[^", 1)
+            found.append({"*": "([^/]*)", "?": "([^/])"}.get(star[0], f"({letters})"))
     return "".join(found) + re.escape(pattern[at:])
 
 

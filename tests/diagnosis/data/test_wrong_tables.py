@@ -92,6 +92,7 @@ FILES = "{command: sent.csv, measured: seen.csv}"
         ("seen.csv", "gone.csv", r"gone.csv: does not exist; correct `files`"),
         ("seen.csv", "g" * 300 + ".csv", r"ggg.csv: does not exist; correct `files`"),
         (FILES, "'runs/*.csv'", r"stage.yaml: trial one: files: no file matches .*runs/\*.csv; correct the pattern"),
+        (FILES, "'runs/**.csv'", r"runs/\*\*.csv: files: \*\*.csv has \*\* within a name; allowed as a whole folder"),
         ("measured: seen.csv}", "measurd: seen.csv}", r"files: no channel measurd; did you mean measured\? the file"),
         (", measured: seen.csv", "", r"trial one: names no file for the measured channel; add it under `files`"),
         ("kind: tracking", "kind: tracking\nelements: {a: 0}", r"sent.csv: column u contains plain numbers, not lists"),
