@@ -18,7 +18,7 @@ CHECKOUT = PACKAGE.parent
 # Time limit of git, also on a busy computer.
 GIT_S = 10.0
 # Files that decide results.
-_CODE = (".py", ".yaml", ".json", ".onnx", ".npz")
+_CODE = (".py", ".yaml", ".json", ".onnx", ".npz", ".js", ".css")
 
 
 def revision(root: Path = CHECKOUT) -> str:

@@ -1,10 +1,11 @@
 """Diagnosis of many robots and rigs as a batch of jobs: a report of each, and one page and table of all."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 from urllib.parse import quote
@@ -13,6 +14,7 @@ from softarm.common import batch, files
 from softarm.common.batch import Kept, Work, Workers
 from softarm.common.revision import code_version
 from softarm.diagnosis import report
+from softarm.diagnosis.data import stage_file
 from softarm.diagnosis.data.read import TABLES, stage_of_folder
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.diagnose import BUDGET_S
@@ -24,6 +26,7 @@ from softarm.reporting.numbers import percent
 from softarm.simulator import model_file
 
 INDEX, KEPT = "index", "kept"
+SUFFIXES = (".html", ".json", ".yaml")
 COLUMNS = ("recordings", "verdict", "answer", "confidence", "gap, RMS")
 
 
@@ -61,20 +64,27 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
         OSError: A file cannot be written.
     """
     out, todo = options.out, {name: (name, stage_of_folder(path)) for name, path in names(inputs).items()}
-    tool = code_version("common", "diagnosis", "schemas", "simulator")
+    tool = code_version("common", "diagnosis", "recordings", "reporting", "schemas", "simulator")
     model = None if options.model is None else model_file.fingerprint(model_file.load(options.model))
 
+    @cache
+    def data(name: str) -> list[str]:
+        return [files.sha256_of(path) for path in input_files(todo[name][1]) if path.exists()]
+
     def depends_on(name: str) -> dict[str, Any]:
-        data = [files.sha256_of(path) for path in _files(todo[name][1]) if path.exists()]
         settings = [model, options.budget_s, options.calibration]
-        return {"tool": tool, "settings": settings, "data": data, "written": (out / f"{name}.html").is_file()}
+        written = [suffix for suffix in SUFFIXES if (out / f"{name}{suffix}").is_file()]
+        return {"tool": tool, "settings": settings, "data": data(name), "written": written}
 
     work = Work(
         partial(_diagnosed, options=options),
-        reads=lambda named: [*_files(named[1]), *([] if options.model is None else [options.model])],
-        writes=lambda named: [out / f"{named[0]}{suffix}" for suffix in (".html", ".json", ".yaml")],
+        reads=lambda named: [*input_files(named[1]), *([] if options.model is None else [options.model])],
+        writes=lambda named: [out / f"{named[0]}{suffix}" for suffix in SUFFIXES],
     )
     kept = Kept(lambda name: out / KEPT / f"{name}.json", depends_on)
+    for name in todo:
+        if kept.read(name) is None:
+            _forget(kept.file(name), out / f"{name}.yaml")
     done = batch.run("diagnosing", work, todo, workers, kept=kept)
     rows = []
     for name, source in todo.values():
@@ -82,8 +92,6 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
             rows.append(_row(name, source, failure=failure.message or failure.kind))
         else:
             rows.append(done.results[name]["row"])
-        if not rows[-1]["patched"]:
-            (out / f"{name}.yaml").unlink(missing_ok=True)
     out.mkdir(parents=True, exist_ok=True)  # also if every diagnosis has failed
     files.write_text(out / f"{INDEX}.json", json.dumps(rows, indent=1) + "\n")
     files.write_text(out / f"{INDEX}.html", page(rows))
@@ -92,16 +100,16 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
 
 def names(inputs: Sequence[Path]) -> dict[str, Path]:
     """Return the inputs by short unique names: the last parts of their paths that differ. Raises TrialError."""
-    absolute = [path.absolute() for path in inputs]
+    absolute = [Path(os.path.abspath(path)) for path in inputs]
     whole = [path.parent if path.name == "stage.yaml" else path for path in absolute]
     if twice := [str(path) for path, count in Counter(whole).items() if count > 1]:
         raise TrialError(f"{twice[0]}: is given twice; name each input once")
-    parts = 1
-    while True:
+    for parts in range(1, 1 + max(len(path.parts) for path in whole)):
         found = ["-".join(path.parts[1:][-parts:]) for path in whole]  # without the root
-        if len(set(found)) == len(found) and INDEX not in found:
+        if len(set(found)) == len(found) and not {"", INDEX} & set(found):
             return dict(zip(found, inputs, strict=True))
-        parts += 1
+    wrong = next(path for path, name in zip(whole, found, strict=True) if found.count(name) > 1 or name in ("", INDEX))
+    raise TrialError(f"{wrong}: gives its results no name; allowed is any but {INDEX} and another input's; rename it")
 
 
 def patch(result: Diagnosis, stage: Path | None, calibration: bool, best_fit: bool = False) -> str | None:
@@ -121,9 +129,34 @@ def patch(result: Diagnosis, stage: Path | None, calibration: bool, best_fit: bo
     return None if model is None else model_file.text(model)
 
 
-def _files(source: Path) -> list[Path]:
-    """Return the files and folders of a recording, with the model of its campaign."""
-    return [source.parent] if source.suffix in TABLES else [source, source.parent / "model.yaml"]
+def _forget(kept: Path, patch: Path) -> None:
+    """Delete an outdated result, with the patch that it wrote; a file of another origin stays."""
+    earlier = Kept(lambda name: kept, lambda name: {}).read(kept.stem)
+    if earlier is not None and earlier.get("row", {}).get("patched"):
+        patch.unlink(missing_ok=True)
+    kept.unlink(missing_ok=True)
+
+
+def input_files(source: Path) -> list[Path]:
+    """Return the files and folders that a diagnosis reads: of a rig or a recording, with the model of its campaign."""
+    if source.suffix in TABLES:
+        return [source.parent, *_outside(source)]
+    return [source, source.parent / "model.yaml"]
+
+
+def _outside(source: Path) -> list[Path]:
+    """Return the files that a stage.yaml names outside its own folder; none if it is invalid."""
+    base, found = source.parent, set[Path]()
+    try:
+        stages = stage_file.load(source)
+    except TrialError:
+        return []
+    for stage in stages:
+        for each in stage_file.recordings(source, base, stage):
+            found |= set() if isinstance(each, TrialError) else set(each.files.values())
+        if mjcf := stage.about.model.get("mjcf"):
+            found.add(base / str(mjcf))
+    return sorted(path for path in found if not path.resolve().is_relative_to(base.resolve()))
 
 
 def _diagnosed(named: tuple[str, Path], options: Options) -> dict[str, Row]:

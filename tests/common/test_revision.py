@@ -63,7 +63,7 @@ def test_software_lists_softarm_python_and_the_requested_packages():
 def test_the_version_of_the_code_changes_with_the_code_that_counts(tmp_path, monkeypatch):
     monkeypatch.setattr(revision, "PACKAGE", tmp_path)
     found = set()
-    for place in ("one/a.py", "other/b.py", "one/notes.md"):
+    for place in ("one/a.py", "other/b.js", "one/notes.md"):
         file = tmp_path / place
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("text")

@@ -91,8 +91,9 @@ def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
     trials, first, content = diagnosed()
     assert trials == ["quiet", "loud"]
     assert diagnosed() == ([], first, content)
-    (out / "one.html").unlink()
-    assert diagnosed() == (["loud"], first, content)
+    for suffix in ("html", "json", "yaml"):
+        (out / f"one.{suffix}").unlink()
+        assert diagnosed() == (["loud"], first, content)
     text = (ROBOTS[0] / "quiet" / "pressure.csv").read_text()
     (ROBOTS[0] / "quiet" / "pressure.csv").write_text(text + "1.0,3.0\n")
     assert diagnosed()[0] == ["quiet"]
@@ -100,8 +101,44 @@ def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
     assert diagnosed()[0] == ["loud"]
     assert diagnosed(model=Path("no-delay"))[0] == ["quiet", "loud"]
     assert diagnosed(budget_s=3.0)[0] == ["quiet", "loud"]
-    monkeypatch.setattr(many, "code_version", lambda *names: "another")
+    monkeypatch.setattr(many, "code_version", lambda *names: " ".join(names))
     assert diagnosed()[0] == ["quiet", "loud"]
+    kept = json.loads((out / "kept" / "one.json").read_text())
+    assert kept["tool"] == "common diagnosis recordings reporting schemas simulator"
+
+
+def test_files_outside_the_folder_of_a_rig_belong_to_its_data(tmp_path):
+    stage = tmp_path / "rig" / "stage.yaml"
+    stage.parent.mkdir()
+    stage.write_text("""
+kind: mujoco
+channels:
+  measured: {time: {source: t, unit: s}, columns: {pan: {source: y, unit: deg}}}
+  command: {time: {source: t, unit: s}, columns: {drive: {source: u, unit: deg}}}
+model: {mjcf: ../arm.xml}
+trials:
+  - {name: one, files: {command: ../sent.csv, measured: own.csv}}
+""")
+    folder, *outside = many.input_files(stage)
+    assert folder == stage.parent
+    assert {path.resolve() for path in outside} == {tmp_path / "sent.csv", tmp_path / "arm.xml"}
+    stage.write_text("trials: 3\n")
+    assert many.input_files(stage) == [folder]
+
+
+def test_only_an_own_patch_of_an_earlier_answer_is_deleted(asked):
+    out, own = Path("reports"), Path("reports/two.yaml")
+    out.mkdir()
+    own.write_text("rate: 30\n")
+
+    def diagnosed():
+        many.diagnose_all(ROBOTS, Options(out), HERE)
+        return sorted(path.name for path in out.glob("*.yaml"))
+
+    assert diagnosed() == ["one.yaml", "two.yaml"]  # robot two has no patch
+    (ROBOTS[1] / "loud" / "trial.yaml").unlink()
+    assert diagnosed() == ["two.yaml"]
+    assert own.read_text() == "rate: 30\n"
 
 
 def test_a_failure_has_a_row_and_the_others_continue(asked):
@@ -135,8 +172,13 @@ def test_names_are_the_parts_of_the_paths_that_differ():
     assert list(many.names(given[1:])) == ["x", "rig", "y.mcap"]
     assert list(many.names([Path("a/index")])) == ["a-index"]
     assert list(many.names([Path("/data/x"), Path("/mnt/data/x")])) == ["data-x", "mnt-data-x"]
-    with pytest.raises(TrialError, match="is given twice"):
-        many.names([Path("b/rig"), Path("b/rig/stage.yaml")])
+    for twice in (["b/rig", "b/rig/stage.yaml"], ["a", "b/../a"]):
+        with pytest.raises(TrialError, match="is given twice"):
+            many.names(list(map(Path, twice)))
+    assert list(many.names([Path("a/.."), Path("/a/b")])) == [Path.cwd().name, "b"]
+    for nameless in (["/index"], ["/"], ["/a-b/c", "/a/b-c", "/d/c", "/d/b-c"]):
+        with pytest.raises(TrialError, match="gives its results no name; allowed is any but index"):
+            many.names(list(map(Path, nameless)))
 
 
 @pytest.mark.parametrize(
