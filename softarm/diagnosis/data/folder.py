@@ -61,10 +61,11 @@ def _channel(path: Path, name: str) -> Series:
     units = mocap_columns(LINKS_MAX) if name == "mocap" else ROBOT_CHANNELS[name]
     time = _time(name)
     bare = {with_unit(column, unit): column for column, unit in {time: "s", **units}.items()}
-    header = {bare.get(column, column): column for column in table.columns}  # `pressure_kpa` is `pressure`
-    if len(header) < len(table.columns):
-        twice = next(column for column, spelt in header.items() if column in table.columns and spelt != column)
-        raise TrialError(f"{path}: {twice} and {header[twice]} are the same column; remove one")
+    header: dict[str, str] = {}
+    for column in table.columns:
+        known = header.setdefault(bare.get(column, column), column)  # `pressure_kpa` is `pressure`
+        if known != column:
+            raise TrialError(f"{path}: {known} and {column} are the same column; remove one")
     if name == "mocap":
         links = sum(f"link{i}_y" in header for i in range(1, LINKS_MAX + 1))
         units = mocap_columns(links or LINKS)
