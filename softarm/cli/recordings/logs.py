@@ -5,7 +5,7 @@ import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -194,6 +194,12 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
     if to == "lerobot":
         _lerobot(files, out)
         return
+    stems = [file.stem for file in files]
+    if twice := [file for file in files if stems.count(file.stem) > 1]:
+        raise click.UsageError(
+            f"{' and '.join(map(str, twice))} have one name, which also names the export; allowed "
+            "is each name once; export them one by one with different --out"
+        )
     for file in files:
         try:
             with writing("choose another --out"):
@@ -231,15 +237,21 @@ def _tables(log: "TickLog", folder: Path, form: "Form") -> str:
     from softarm.common import files
     from softarm.diagnosis.data import folder as trial_folder
     from softarm.diagnosis.data import mcap
+    from softarm.diagnosis.data.trials import ROBOT_CHANNELS
     from softarm.recordings import tables
 
     folder.mkdir(parents=True, exist_ok=True)
     with progress(log) as advance:
         ticks = tables.ticks(log, advance)
+    trial = mcap.read(log.path)
+    about = folder / "about.json"
+    if about.exists():  # of an earlier export, whose other tables would mix with these
+        for name, suffix in product(("ticks", "events", *ROBOT_CHANNELS), trial_folder.FORMS):
+            (folder / f"{name}{suffix}").unlink(missing_ok=True)
     tables.write(folder / f"ticks.{form}", ticks)
     tables.write(folder / f"events.{form}", tables.events(log, tuple(log.entries())))
-    trial_folder.write(mcap.read(log.path), folder, form)
-    files.write_text(folder / "about.json", tables.about(log))
+    trial_folder.write(trial, folder, form)
+    files.write_text(about, tables.about(log))
     return f"wrote {folder}: {len(ticks['t_s'])} ticks over {log.duration_s:.1f} s"
 
 

@@ -59,7 +59,8 @@ def export(*arguments):
     return invoke("logs", "export", *arguments)
 
 
-def test_a_log_is_exported_as_a_trial_folder(tmp_path):
+def test_a_log_is_exported_as_a_trial_folder_that_replaces_an_earlier_one(tmp_path):
+    export("--to", "csv", "--out", tmp_path / "out", FLIGHT)
     result = export("--to", "parquet", "--out", tmp_path / "out", FLIGHT)
     assert (result.exit_code, result.stdout) == (0, f"wrote {tmp_path}/out/flight: 313 ticks over 10.4 s\n")
     names = ("command", "events", "mocap", "observation", "pressure", "rail", "ticks")
@@ -75,6 +76,13 @@ def test_a_log_is_exported_as_a_trial_folder(tmp_path):
     for name, series in trial.channels.items():
         np.testing.assert_array_equal(series.t_s, log.channels[name].t_s)
         np.testing.assert_equal(dict(series.columns), dict(log.channels[name].columns))
+
+
+def test_logs_of_one_name_are_refused(tmp_path):
+    (tmp_path / "flight.mcap").write_bytes(FLIGHT.read_bytes())
+    result = export("--to", "csv", "--out", tmp_path / "out", FLIGHT, tmp_path / "flight.mcap")
+    assert result.exit_code == 2
+    assert "have one name, which also names the export; allowed is each name once" in " ".join(result.stderr.split())
 
 
 def test_logs_become_one_dataset_for_lerobot(tmp_path):
