@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.groups import Verbs
-from softarm.cli.shared.console import FILE, check_places, print_json, print_option, print_table, waiting, warn, write
+from softarm.cli.shared.console import (
+    FILE,
+    Number,
+    check_places,
+    print_json,
+    print_option,
+    print_table,
+    waiting,
+    warn,
+    write,
+)
 from softarm.cli.shared.errors import NOTHING, fail, leaves
 from softarm.common.processes import bar
 
@@ -105,9 +115,7 @@ END = "At which end of the rail does the cart stand now: the one where the rail'
 @click.option(
     "--straight", is_flag=True, help="The arm hangs straight at rest; otherwise slightly bent as in the model."
 )
-@click.option(
-    "--seconds", type=click.FloatRange(1, 3600), default=90.0, show_default=True, help="Time limit of each step."
-)
+@click.option("--seconds", type=Number(1, 3600), default=90.0, show_default=True, help="Time limit of each step.")
 def calibrate(
     server: str | None,
     config_file: Path | None,

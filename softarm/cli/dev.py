@@ -8,6 +8,8 @@ import click
 from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import (
     FILE,
+    NUMBER,
+    Number,
     json_option,
     load_model,
     model_option,
@@ -57,11 +59,13 @@ def export(checkpoint: Path, out: Path) -> None:
 
 
 @dev.command(short_help="Optimise trajectories for the policy that tracks them.")
-@click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
+@click.option(
+    "--target", "targets", type=(NUMBER, NUMBER), multiple=True, metavar="Y Z", help="Default: the paper's 54."
+)
 @click.option(
     "--start",
     "starts",
-    type=click.FloatRange(-0.2, 0.2),
+    type=Number(-0.2, 0.2),
     multiple=True,
     default=CART_STARTS_M,
     show_default=True,

@@ -13,7 +13,7 @@ import click
 
 from softarm.cli.groups import Verbs
 from softarm.cli.shared.client import Remote, options_for, url_of
-from softarm.cli.shared.console import FILE, given, load_config, token_of, token_option, url_option
+from softarm.cli.shared.console import FILE, Number, given, load_config, token_of, token_option, url_option
 from softarm.cli.shared.errors import fail, leaves
 from softarm.common.processes import bar
 
@@ -309,7 +309,7 @@ def rail() -> None:
 @click.option(
     "--speed",
     "speed_m_s",
-    type=click.FloatRange(0.005, 0.1),
+    type=Number(0.005, 0.1),
     default=0.05,
     show_default=True,
     metavar="M_S",
@@ -334,8 +334,6 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
     from softarm.drivers.rail.commissioning.session import DriveSession
     from softarm.drivers.rail.settings import settings_of
 
-    if speed_m_s != speed_m_s:
-        raise click.BadParameter("nan is no speed; allowed 0.005 to 0.1 m/s", param_hint="--speed")
     config = load_config(config_file)
     leaves("nothing moved; the drive is off")
     with (
@@ -354,9 +352,7 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
 
 @rail.command()
 @config_option
-@click.option(
-    "--seconds", type=click.FloatRange(1, 600), help="Duration of the push (default: until Enter is pressed)."
-)
+@click.option("--seconds", type=Number(1, 600), help="Duration of the push (default: until Enter is pressed).")
 @click.option("--write", is_flag=True, help="Write the result into the configuration, keeping its comments.")
 @url_option
 @token_option

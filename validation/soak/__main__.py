@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.console import FILE, FOLDER, check_places, json_option, write, write_json
+from softarm.cli.shared.console import FILE, FOLDER, Number, check_places, json_option, write, write_json
 from softarm.cli.shared.errors import failing
 from softarm.common.processes import WorkerDied, bar
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
@@ -17,8 +17,8 @@ from validation.soak import lockstep, page
 
 
 @click.command()
-@click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0), help="Real time; 0 for none.")
-@click.option("--lockstep-days", default=0.0, show_default=True, type=click.FloatRange(0), help="Simulated time.")
+@click.option("--hours", default=1.0, show_default=True, type=Number(0), help="Real time; 0 for none.")
+@click.option("--lockstep-days", default=0.0, show_default=True, type=Number(0), help="Simulated time.")
 @click.option("--seed", default=0, show_default=True, help="Seed of goals, faults and misbehaving clients.")
 @click.option("--policy", default="reach", show_default=True, shell_complete=policies, help="Policy in lockstep.")
 @json_option

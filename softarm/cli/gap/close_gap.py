@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.gap.recorded import print_stricter
-from softarm.cli.shared.console import FILE, FOLDER, flown_model, load_config, print_table, print_text, warn
+from softarm.cli.shared.console import FILE, FOLDER, Number, flown_model, load_config, print_table, print_text, warn
 from softarm.cli.shared.errors import failing, leaves, writing
 from softarm.common.processes import bar
 
@@ -37,7 +37,7 @@ KEEP_THE_OLD = 3  # exit code: finished, and the old policy is the better one
 @click.option(
     "--adaptive", default="reach-robust", show_default=True, help="Also fly this policy, which needs no diagnosis."
 )
-@click.option("--seconds", type=click.FloatRange(1, 86400), help="Longest retraining.  [default: 120]")
+@click.option("--seconds", type=Number(1, 86400), help="Longest retraining.  [default: 120]")
 def close_gap(
     campaign: Path,
     out: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.gap.recorded import limits_option, refuse_misplaced, write_limits
-from softarm.cli.shared.console import FILE, FOLDER, INPUT, check_places, print_table, print_text, typed, warn
+from softarm.cli.shared.console import FILE, FOLDER, INPUT, Number, check_places, print_table, print_text, typed, warn
 from softarm.cli.shared.errors import NOTHING, fail, leaves, writing
 from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 @click.option(
     "--budget",
     "budget_s",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=Number(min=0.0, min_open=True),
     default=120.0,
     show_default=True,
     metavar="SECONDS",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from softarm.cli.shared.console import FILE, INPUT, check_places, print_table, waiting, write
+from softarm.cli.shared.console import FILE, INPUT, Number, check_places, print_table, waiting, write
 from softarm.cli.shared.errors import NOTHING, Failure, fail, leaves
 from softarm.common.quantity import PURE
 from softarm.schemas.stage_model import DESCRIBED
@@ -36,7 +36,7 @@ _USED_BY = {
     "angles": ("chain",),
 }
 ANGLES = click.Choice(("absolute", "relative"))
-RATE = click.FloatRange(min=0, min_open=True)
+RATE = Number(min=0, min_open=True)
 _VALUES = {"--unit": "UNIT", "--nominal": "NUMBER", "--rate": "HZ", "--command": "COLUMN", "--measured": "COLUMN"}
 
 

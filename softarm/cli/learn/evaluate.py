@@ -13,6 +13,7 @@ from softarm.cli.shared.completion import policies_and_files
 from softarm.cli.shared.console import (
     FILE,
     FOLDER,
+    NUMBER,
     check_places,
     config_option,
     flown_model,
@@ -96,7 +97,7 @@ class Choice:
 @click.option("--film", type=FILE, help="Write one flight of the first policy as FILE.gif, or FILE.mp4 with ffmpeg.")
 @click.option(
     "--target",
-    type=(float, float),
+    type=(NUMBER, NUMBER),
     metavar="Y Z",
     help="With --film: its target, m.  [default: the highest one that the policy reaches]",
 )

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.console import FILE, FOLDER, given, model_option, typed, waiting
+from softarm.cli.shared.console import FILE, FOLDER, Number, given, model_option, typed, waiting
 from softarm.cli.shared.errors import fail, failing, leaves
 from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
@@ -23,7 +23,7 @@ SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluate
 @click.argument("task", required=False)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the run.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after this number of steps, summed over robots.")
-@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
+@click.option("--minutes", type=Number(min=0, min_open=True), help="Stop after this time.")
 @click.option(
     "--robots", type=click.IntRange(min=8), help="Simulated in parallel.  [default: the recipe's, 1024 or 2048]"
 )

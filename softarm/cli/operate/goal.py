@@ -9,7 +9,7 @@ from softarm.cli.groups import Verbs
 from softarm.cli.operate.status import goal_line
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import targets
-from softarm.cli.shared.console import print_json, print_option, typed, waiting
+from softarm.cli.shared.console import NUMBER, Number, print_json, print_option, typed, waiting
 from softarm.cli.shared.errors import fail, leaves
 
 wait_option = click.option("--wait", is_flag=True, help="Wait for the end; exit code 1 if it is not reached.")
@@ -40,8 +40,8 @@ def goal(daemon: Remote, context: click.Context) -> None:
 
 # A negative coordinate is not an option.
 @goal.command(context_settings={"ignore_unknown_options": True})
-@click.argument("y", type=float, shell_complete=targets)
-@click.argument("z", type=float, shell_complete=targets)
+@click.argument("y", type=NUMBER, shell_complete=targets)
+@click.argument("z", type=NUMBER, shell_complete=targets)
 @wait_option
 @print_option
 @remote
@@ -59,7 +59,7 @@ def reach(daemon: Remote, y: float, z: float, wait: bool, as_json: bool) -> None
 
 
 @goal.command()
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Cancel it after this time.")
+@click.option("--seconds", type=Number(0, min_open=True), help="Cancel it after this time.")
 @wait_option
 @print_option
 @remote

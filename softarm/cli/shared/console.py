@@ -1,6 +1,7 @@
 """Parameter types, options, files and printing that several verbs share."""
 
 import json
+import math
 import os
 import shlex
 import sys
@@ -8,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -21,6 +22,22 @@ if TYPE_CHECKING:
     from softarm.schemas.config import Config
     from softarm.schemas.model import Model
 
+
+class Number(click.FloatRange):
+    """Finite number, optionally within a range."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number; NaN compares as within any range, so it is refused here."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            allowed = "" if self.min is None and self.max is None else f" in the range {self._describe_range()}"
+            self.fail(f"{value} is not a finite number; allowed are finite numbers{allowed}; correct it.", param, ctx)
+        return number
+
+
+NUMBER = Number()
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
