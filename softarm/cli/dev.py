@@ -111,11 +111,11 @@ def plan(
     if needs:
         _show_needs(aims, model, seed, json_file)
         return
+    out.parent.mkdir(parents=True, exist_ok=True)
     wall, cpu = time.perf_counter(), time.process_time()
     with bar("planning") as shown:
         name = model_file.stem if model_file else "seed"
         report = planner.plan(aims, starts, model, name, seed, shown.advance)
-    out.parent.mkdir(parents=True, exist_ok=True)
     report.plans.save(out)
     found = planner.rows(report)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

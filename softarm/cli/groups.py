@@ -72,7 +72,7 @@ class LazyGroup(Verbs):
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb and end it with a sentence for an error of softarm's own kinds and for Ctrl-C.
+        """Run the verb and end it with a sentence for an error of softarm's own kinds, of a file, and for Ctrl-C.
 
         Any other exception is a defect: one line or, with --debug, a traceback.
         """
@@ -94,6 +94,8 @@ class LazyGroup(Verbs):
                 fail(f"{str(error.filename)[:NAME_SHOWN]}...: no file system holds a name that long; name another file")
             if ctx.params["debug"]:
                 raise
+            if isinstance(error, OSError) and error.filename is not None:
+                fail(f"{error.filename}: cannot be read or written ({error.strerror}); choose another place")
             click.echo(defect(ctx.invoked_subcommand or "", error), err=True)
             ctx.exit(DEFECT)
 

@@ -5,7 +5,7 @@ import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -58,20 +58,17 @@ def replacing(path: Path | str) -> Iterator[BinaryIO]:
     target = Path(os.path.realpath(target))
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     try:
-        with _begun(draft, path) as file:
+        with draft.open("xb") as file:
             if target.exists():
                 os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
             yield file
             file.flush()
             os.fsync(file.fileno())
         draft.replace(target)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
-def _begun(draft: Path, path: Path | str) -> BinaryIO:
-    """Open the draft; an error names the file that it replaces."""
-    try:
-        return draft.open("xb")
     except OSError as error:
+        if error.errno is None or error.filename not in (None, str(draft)):
+            raise
         raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        with suppress(OSError):
+            draft.unlink()

@@ -76,6 +76,7 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
         written = [suffix for suffix in SUFFIXES if (out / f"{name}{suffix}").is_file()]
         return {"tool": tool, "settings": settings, "data": data(name), "written": written}
 
+    out.mkdir(parents=True, exist_ok=True)
     work = Work(
         partial(_diagnosed, options=options),
         reads=lambda named: [*input_files(named[1]), *([] if options.model is None else [options.model])],
@@ -92,7 +93,6 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
             rows.append(_row(name, source, failure=failure.message or failure.kind))
         else:
             rows.append(done.results[name]["row"])
-    out.mkdir(parents=True, exist_ok=True)  # also if every diagnosis has failed
     files.write_text(out / f"{INDEX}.json", json.dumps(rows, indent=1) + "\n")
     files.write_text(out / f"{INDEX}.html", page(rows))
     return rows

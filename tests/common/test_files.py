@@ -1,5 +1,6 @@
 """Atomic writing of files, also after errors and kills."""
 
+import errno
 import hashlib
 import os
 import stat
@@ -69,9 +70,14 @@ def test_a_pipe_is_written_into_and_stays_a_pipe(tmp_path):
 
 
 def test_an_error_names_the_file_and_not_its_draft(tmp_path):
-    with pytest.raises(FileNotFoundError) as raised:
-        files.write_text(tmp_path / "no" / "a.txt", "new")
-    assert raised.value.filename == str(tmp_path / "no" / "a.txt")
+    (tmp_path / "file").touch()
+    for place in ("no", "file"):
+        with pytest.raises(OSError, match="directory") as raised:
+            files.write_text(tmp_path / place / "a.txt", "new")
+        assert raised.value.filename == str(tmp_path / place / "a.txt")
+    with pytest.raises(OSError, match="No space left") as raised, files.replacing(tmp_path / "full.txt"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert raised.value.filename == str(tmp_path / "full.txt")
 
 
 def test_the_digest_of_a_folder_covers_names_and_contents_but_not_its_own_name(tmp_path):

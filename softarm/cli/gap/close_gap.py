@@ -10,7 +10,7 @@ import click
 
 from softarm.cli.gap.recorded import print_stricter
 from softarm.cli.shared.console import FILE, FOLDER, Number, flown_model, load_config, print_table, print_text, warn
-from softarm.cli.shared.errors import failing, leaves, writing
+from softarm.cli.shared.errors import failing, leaves
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def close_gap(
     check_wires(config_file, twin, yes)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     spent: Spent = {}
-    with failing(ValueError, RuntimeError), writing("choose another --out"):
+    with failing(ValueError, RuntimeError):
         config = load_config(config_file)
         model = None if robot == REALITY else flown_model(Path(robot))
         held_out = steps.independent(faults) if model is None else steps.simulated(robot, model)

@@ -8,7 +8,7 @@ import click
 
 from softarm.cli.gap.recorded import limits_option, refuse_misplaced, write_limits
 from softarm.cli.shared.console import FILE, FOLDER, INPUT, Number, check_places, print_table, print_text, typed, warn
-from softarm.cli.shared.errors import NOTHING, fail, leaves, writing
+from softarm.cli.shared.errors import NOTHING, fail, leaves
 from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
 
@@ -111,15 +111,14 @@ def diagnose(
         patched = _mjcf_patch(mjcf, result, calibration, best_fit)
     elif patch_file is not None and len(stages) < 2:
         patched = patch(result, stages[0] if stages else None, calibration, best_fit)
-    with writing():
-        if json_file is not None:
-            files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
-        if report_file is not None:
-            report.write(result, report_file)
-        if patch_file is not None and patched is not None:
-            files.write_text(patch_file, patched)
-        if limits_file is not None:
-            write_limits(inputs, limits_file, result.verdict)
+    if json_file is not None:
+        files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
+    if report_file is not None:
+        report.write(result, report_file)
+    if patch_file is not None and patched is not None:
+        files.write_text(patch_file, patched)
+    if limits_file is not None:
+        write_limits(inputs, limits_file, result.verdict)
     places["--patch"] = patch_file if patched is not None else None
     written = [str(place) for place in places.values() if place is not None]
     show(result, json_file)

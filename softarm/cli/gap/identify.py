@@ -17,7 +17,7 @@ from softarm.cli.shared.console import (
     print_text,
     warn,
 )
-from softarm.cli.shared.errors import NOTHING, leaves, writing
+from softarm.cli.shared.errors import NOTHING, leaves
 from softarm.common.processes import bar
 from softarm.common.quantity import KPA_PER_PSI
 
@@ -67,22 +67,21 @@ def identify(
     refuse_misplaced((*inputs, *checks))
     check_places(out, json_file, limits_file)
     leaves(NOTHING)
-    with writing():
-        model = models.load(model_file) if model_file else Model()
-        with bar("reading", total=None) as shown:
+    model = models.load(model_file) if model_file else Model()
+    with bar("reading", total=None) as shown:
 
-            def progress(text: object) -> None:
-                shown.show(text=str(text))
+        def progress(text: object) -> None:
+            shown.show(text=str(text))
 
-            trials, held_out = read_all(inputs, progress), read_all(checks, progress)
-            result = fit(model, trials, held_out, progress)
-        models.save(result.model, out)
-        summary = result.summary()
-        if limits_file is not None:
-            summary |= {"limits": write_limits((*inputs, *checks), limits_file).summary()}
-        if json_file is not None:
-            files.write_text(json_file, json.dumps(summary, indent=1) + "\n")
-        pictures = _pictures(result, plots)
+        trials, held_out = read_all(inputs, progress), read_all(checks, progress)
+        result = fit(model, trials, held_out, progress)
+    models.save(result.model, out)
+    summary = result.summary()
+    if limits_file is not None:
+        summary |= {"limits": write_limits((*inputs, *checks), limits_file).summary()}
+    if json_file is not None:
+        files.write_text(json_file, json.dumps(summary, indent=1) + "\n")
+    pictures = _pictures(result, plots)
     _show(result)
     written = [out, *filter(None, (json_file, limits_file)), *pictures]
     click.echo(f"wrote {', '.join(map(str, written))}")

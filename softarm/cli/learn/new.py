@@ -17,7 +17,6 @@ from softarm import __version__
 from softarm.cli.gap.new_rig import rig
 from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import FOLDER
-from softarm.cli.shared.errors import writing
 from softarm.common import files
 from softarm.common.plugins import PluginError
 
@@ -174,11 +173,10 @@ def _plugin(kind: str) -> click.Command:
     @click.argument("name")
     @click.option("--out", type=FOLDER, help="The folder to write.  [default: softarm-NAME]")
     def command(name: str, out: Path | None) -> None:
-        with writing("choose another --out"):
-            package = named(kind, name)
-            folder = out or Path(package.project)
-            for file in write(package, folder):
-                click.echo(f"wrote {file}")
+        package = named(kind, name)
+        folder = out or Path(package.project)
+        for file in write(package, folder):
+            click.echo(f"wrote {file}")
         click.echo("next:")
         for line in (f"pip install --editable {folder}", f"pytest {folder}", *KINDS[kind].following):
             click.echo(f"  {line.format(name=name)}")

@@ -16,7 +16,7 @@ from softarm.cli.recordings.events import show_event
 from softarm.cli.shared import completion
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.console import FILE, FOLDER, print_json, print_option, waiting, write
-from softarm.cli.shared.errors import fail, leaves, writing
+from softarm.cli.shared.errors import fail, leaves
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -202,13 +202,12 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
         )
     for file in files:
         try:
-            with writing("choose another --out"):
-                log = recordings.read(file)
-                out.mkdir(parents=True, exist_ok=True)
-                if to == "foxglove":
-                    click.echo(_foxglove(log, out))
-                else:
-                    click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
+            log = recordings.read(file)
+            out.mkdir(parents=True, exist_ok=True)
+            if to == "foxglove":
+                click.echo(_foxglove(log, out))
+            else:
+                click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
         except ModuleNotFoundError as error:
             _fail_without(error, to)
 
@@ -222,7 +221,7 @@ def _lerobot(logs: tuple[Path, ...], out: Path) -> None:
     from softarm.recordings import lerobot
 
     try:
-        with writing("choose another --out"), waiting("reading the logs"):
+        with waiting("reading the logs"):
             made = lerobot.write(out, (episode for log in logs for episode in lerobot.episodes(log)))
     except ValueError as error:
         fail(str(error))

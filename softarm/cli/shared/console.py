@@ -15,7 +15,7 @@ import click
 from click.core import ParameterSource
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.errors import fail, writing
+from softarm.cli.shared.errors import fail
 from softarm.common import files
 
 if TYPE_CHECKING:
@@ -138,14 +138,13 @@ def write_json(file: Path | None, data: object) -> None:
 
 
 def write(file: Path, text: str) -> None:
-    """Write a text file and print its name; end the command with a sentence if that fails."""
+    """Write a text file and print its name."""
     write_bytes(file, text.encode())
 
 
 def write_bytes(file: Path, content: bytes) -> None:
     """Write a binary file as `write` does."""
-    with writing():
-        files.write_bytes(file, content)
+    files.write_bytes(file, content)
     click.echo(f"wrote {file}")
 
 

@@ -1,8 +1,8 @@
 """How verbs end: with one sentence on standard error and exit code 1, or at Ctrl-C with what they leave behind.
 
 Usage errors are click's and exit with 2. An exception class of any module of softarm has such a sentence as its text,
-and `LazyGroup` ends the verb with it. A verb itself handles Python's own exceptions, with `failing` and `writing`,
-where their text is such a sentence.
+and `LazyGroup` ends the verb with it. An OSError of a file ends the verb with the file's name and the reason. A verb
+itself handles Python's other exceptions, with `failing`, where their text is such a sentence.
 """
 
 from collections.abc import Callable, Iterator
@@ -49,15 +49,6 @@ def failing(*kinds: type[Exception]) -> Iterator[None]:
         yield
     except kinds as error:
         fail(str(error))
-
-
-@contextmanager
-def writing(remedy: str = "choose another place") -> Iterator[None]:
-    """End the command with the name of a file that cannot be written, and the remedy."""
-    try:
-        yield
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); {remedy}")
 
 
 def leaves(what: str | Callable[[], str]) -> None:

@@ -68,4 +68,4 @@ def test_export_writes_a_file_for_mujoco_and_lists_missing_effects(tmp_path: Pat
     assert mujoco.MjModel.from_xml_path(str(out)).nq == 6
     result = run("export", "--mjcf", tmp_path / "no" / "arm.xml", "seed")
     assert result.exit_code == 1
-    assert "cannot be written" in result.stderr
+    assert "cannot be read or written" in result.stderr

@@ -102,7 +102,7 @@ def test_an_unusable_place_is_refused(tmp_path):
     (tmp_path / "file").touch()
     result = export("--to", "csv", "--out", tmp_path / "file" / "below", FLIGHT)
     assert result.exit_code == 1
-    assert "cannot be written (Not a directory); choose another --out" in result.stderr
+    assert "cannot be read or written (Not a directory); choose another place" in result.stderr
 
 
 @pytest.fixture

@@ -76,8 +76,17 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("close-gap campaign --out closed --fault arm.payload_kg=heavy", "'heavy' is not a number"),
         ("close-gap campaign --out closed --fault arm.payload_kg=7", "allowed 0 to 0.5"),
         ("config new softarm.yaml", "softarm.yaml: exists and was not changed"),
-        ("config new no/mine.yaml", "no/mine.yaml: cannot be written"),
+        (
+            "config new no/mine.yaml",
+            "no/mine.yaml: cannot be read or written (No such file or directory); choose",
+        ),
         ("config units torque", "no key contains 'torque'"),
+        ("dev plan --out a.mcap/plans/p.npz", "a.mcap/plans: cannot be read or written (Not a directory); choose"),
+        (
+            "dev soak --lockstep-days 1 --hours 0 --logs a.mcap/x",
+            "a.mcap/x: cannot be read or written (Not a directory)",
+        ),
+        ("diagnose campaign --out a.mcap/x", "a.mcap/x: cannot be read or written (Not a directory); choose another"),
         ("diagnose campaign --json no/v.json", "no/v.json: the folder no does not exist; create it"),
         ("diagnose nowhere", "nowhere: does not exist; name an MCAP log, a trial folder"),
         ("evaluate --all --config missing.yaml", "missing.yaml"),
