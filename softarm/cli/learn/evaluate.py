@@ -143,20 +143,21 @@ def evaluate(**chosen: Any) -> None:
     with failing(ValueError):
         tests = _tests(choice)
         found = _entries(choice, tests, config)
-        if choice.faults:
-            worst(choice, found, config)
-            return
-        wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
-        compared = wanted or _needs_table(found)
-        if not compared and (wrong := [name for name in typed() if name in ("--workers", "--ray", "--keep")]):
-            raise click.UsageError(f"{wrong[0]} goes with a comparison: --all, --test, --report or several policies")
+    if choice.faults:
+        worst(choice, found, config)
+        return
+    wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
+    compared = wanted or _needs_table(found)
+    if not compared and (wrong := [name for name in typed() if name in ("--workers", "--ray", "--keep")]):
+        raise click.UsageError(f"{wrong[0]} goes with a comparison: --all, --test, --report or several policies")
+    with failing(ValueError):
         write_film = None if choice.film is None else film(choice.film, choice.target, found, tests, config)
-        if compared:
-            compare(choice, found, tests, config)
-        else:
-            _evaluate(choice, found[0], config, model)
-        if write_film is not None:
-            write_film()
+    if compared:
+        compare(choice, found, tests, config)
+    else:
+        _evaluate(choice, found[0], config, model)
+    if write_film is not None:
+        write_film()
 
 
 def _tests(choice: Choice) -> tuple[str, ...]:
@@ -216,8 +217,7 @@ def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | 
 def compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], config: "Config") -> None:
     """Fly the policies in the tests, print their table, and write the files of the choice.
 
-    Raises:
-        ValueError: a leaderboard is given, and the limits or goals of the configuration are not the default ones.
+    Ends the command if a leaderboard is given, and the limits or goals of the configuration are not the default ones.
     """
     from softarm.evaluation import leaderboard, page, table
     from softarm.schemas.config import Config
@@ -225,7 +225,7 @@ def compare(choice: Choice, found: "Sequence[Entry]", tests: tuple[str, ...], co
     if choice.leaderboard is not None:
         leaderboard.load(choice.leaderboard)
         if (config.limits, config.goals) != (Config().limits, Config().goals):
-            raise ValueError("--leaderboard: results need the default limits and goals: omit both in --config")
+            fail("--leaderboard: results need the default limits and goals: omit both in --config")
     command = shlex.join(["softarm", *sys.argv[1:]])
     if choice.keep is not None:
         leaves(f"finished jobs are kept in {choice.keep}; the same command continues")
@@ -254,16 +254,16 @@ def _rank(file: Path, rows: "list[Row]") -> None:
 def worst(choice: Choice, found: "Sequence[Entry]", config: "Config") -> None:
     """Print the success with each strong fault, and the worst.
 
-    Raises:
-        ValueError: the independent robot is not installed, or the ceiling, which cannot fly it, is among the rows.
+    Ends the command if the independent robot is not installed, or the ceiling, which cannot fly it, is among the rows.
     """
     from softarm.evaluation import faults
     from softarm.evaluation import tests as known
     from softarm.evaluation.entries import CEILING
 
     if any(entry.name == CEILING for entry in found):
-        raise ValueError(f"{CEILING}: is searched on the simulator alone; omit it, or omit --faults")
-    known.check("held_back")
+        fail(f"{CEILING}: is searched on the simulator alone; omit it, or omit --faults")
+    with failing(ValueError):
+        known.check("held_back")
     result = faults.measure(found, choice.workers, config)
     print_table(*faults.lines(result), "targets reached from rest / in mid-swing, %")
     write_json(choice.json_file, result)
@@ -292,7 +292,7 @@ def film(
 
     def write_film() -> None:
         leaves(f"{file} was not written")
-        with waiting(f"drawing {file}"):
+        with failing(ValueError), waiting(f"drawing {file}"):
             content = films.encode(first.name, flown, robot, config, file.suffix)
         click.echo(films.sentence(first.name, flown))
         write_bytes(file, content)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from softarm.evaluation import table, tests
+from softarm.evaluation import runner, table, tests
 from softarm.policies.base import MODELS
 from softarm.schemas import flights
 from tests.cli.invoke import invoke
@@ -97,6 +97,16 @@ def test_a_trained_file_is_evaluated_alone(monkeypatch):
     result = run(MODELS / "reach.onnx")
     assert result.exit_code == 0, result.output
     assert "x real time" in result.output
+
+
+def test_an_error_of_numpy_in_a_flight_is_a_defect(monkeypatch):
+    def fly(*given):
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr(runner, "evaluate", fly)
+    result = run("reach")
+    assert result.exit_code == 70
+    assert "a defect in softarm" in result.stderr
 
 
 @pytest.fixture
