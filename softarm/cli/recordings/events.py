@@ -46,16 +46,19 @@ def show_event(event: Json, as_json: bool) -> None:
 
 
 def _live(daemon: Remote, limit: int, follow: bool) -> Iterator[Json]:
-    answer = daemon.get(f"/api/events?limit={limit}")
-    yield from answer["events"]
-    while follow:
+    answer, last = daemon.get(f"/api/events?limit={limit}"), 0
+    while True:
+        for event in answer["events"]:
+            yield event
+            last = event["number"]
+        if not follow:
+            return
         time.sleep(POLL_S)
-        since, run = answer["newest"] or 0, answer["run"]
-        answer = daemon.get(f"/api/events?since={since}&limit={PAGE}")
+        run = answer["run"]
+        answer = daemon.get(f"/api/events?since={last}&limit={PAGE}")
         if answer["run"] != run:
             # A restarted daemon counts from 1.
-            answer = daemon.get(f"/api/events?since=0&limit={PAGE}")
-        yield from answer["events"]
+            answer, last = daemon.get(f"/api/events?since=0&limit={PAGE}"), 0
 
 
 LATEST = "latest"

@@ -177,13 +177,6 @@ class History:
             log.log(logging.WARNING if entry.kind in WARN else logging.INFO, "%s", entry.text)
         return new
 
-    def after(self, since: int | None, limit: int) -> tuple[Entry, ...]:
-        """Return the `limit` oldest entries after number `since`, or the newest if `since` is None."""
-        entries = self.entries
-        if since is None:
-            return entries[-limit:]
-        return tuple(entry for entry in entries if entry.number > since)[:limit]
-
 
 def utc(wall_ns: int) -> datetime:
     """Return a stamp of the wall clock as UTC, to the microsecond."""

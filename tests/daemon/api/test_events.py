@@ -14,6 +14,21 @@ from softarm.schemas.config import Config
 from tests.processes import until
 
 
+class Busy(History):
+    """History to which the control loop adds an event after every look."""
+
+    added = 0
+
+    @property
+    def entries(self):
+        self.added += 1
+        return self.kept[: self.added]
+
+    @entries.setter
+    def entries(self, kept):
+        self.kept = kept
+
+
 @pytest.fixture
 def recorded(loop, app, client_of):
     """Return a client of a daemon with ten events."""
@@ -43,6 +58,13 @@ def test_events_are_served_from_the_newest_or_after_a_number(recorded):
     assert [e["number"] for e in recorded.get("/api/events?since=3&limit=2").json()["events"]] == [4, 5]
     assert [e["number"] for e in recorded.get("/api/events?since=9").json()["events"]] == [10]
     assert recorded.get("/api/events?since=10").json()["events"] == []
+
+
+def test_the_newest_number_is_that_of_the_same_moment(loop, app, client_of):
+    source, busy = (kind("run1", lambda: 0, lambda: 0) for kind in (History, Busy))
+    busy.kept = [entry for tick in range(9) for entry in source.done(tick, "recorder", "text", "who")]
+    answer = client_of(app(loop, history=busy)).get("/api/events").json()
+    assert answer["newest"] == answer["events"][-1]["number"]
 
 
 @pytest.mark.parametrize(

@@ -107,9 +107,10 @@ class Observation:
     async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
         """Return `limit` events: the newest, or with `since` the oldest after that number."""
         history = self._context.history
+        kept = history.entries  # read once, since the control loop appends meanwhile
         after = None if since is None else query_integer("since", since, 0)
-        found = history.after(after, query_integer("limit", limit, 1, KEPT))
-        kept = history.entries
+        count = query_integer("limit", limit, 1, KEPT)
+        found = kept[-count:] if after is None else tuple(each for each in kept if each.number > after)[:count]
         ends = (kept[0].number, kept[-1].number) if kept else (None, None)
         answer = EventsAnswer(run=history.run, events=found, oldest=ends[0], newest=ends[1])
         return json_response(answer.model_dump_json())
