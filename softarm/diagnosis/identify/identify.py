@@ -21,6 +21,7 @@ Progress = Callable[[str], None]
 WIDE = 0.10  # half interval of K, D or b that raises a warning, as a share of the value
 MISPRINTED_SHELL_KG = 0.05  # [P] SM-B; its own total of 0.12 kg needs 0.005
 TORQUE_RMSE_NM = 0.02  # reported by [P]
+SAMPLES_MIN = 4  # of all trials: a joint has as many parameters
 TIP_Y_M, TIP_Z_M = 0.02, 0.003
 UNCHECKED = "no held-out excitation: name one with --check to measure the error on other motions"
 
@@ -111,7 +112,7 @@ def identify(
         on_progress: called with the current step.
 
     Raises:
-        TrialError: no trial shows the arm, or a trial is given for the fit and for the check.
+        TrialError: no trial shows the arm, all are too short, or a trial is given for the fit and for the check.
     """
     _apart(trials, unseen)
     arm = model.arm
@@ -120,6 +121,11 @@ def identify(
     warnings += more
     on_progress("torques by inverse dynamics, least squares")
     smooth = tuple(motion.derivatives(m) for m in motions)
+    if (left := sum(len(each.t_s) for each in smooth)) < SAMPLES_MIN:
+        raise TrialError(
+            f"{', '.join(m.name for m in motions)}: {left} samples are {motion.EDGE_S:g} s away from both ends and "
+            f"{motion.SETTLE_S:g} s behind a gap; at least {SAMPLES_MIN} are needed; record longer"
+        )
     first = regression.fit(arm, smooth)
     start = first.column.copy()
     if max(float(np.ptp(m.pressure_kpa)) for m in motions) < PRESSURE_SPAN_KPA:

@@ -13,6 +13,7 @@ CUTOFF_HZ = 8.0  # zero-phase filter; the arm swings below 4 Hz
 CART_CUTOFF_HZ = 15.0  # the drive moves faster than the arm swings
 GAP_S = 0.1  # longer gaps are not compared
 SETTLE_S = 1.0  # time after a gap that is not compared, since the input in it is unknown
+EDGE_S = 0.3  # the filter is inaccurate at both ends
 FRAMES_MIN = 60
 NOISE_MIN_M, NOISE_MIN_RAD = 2e-5, 2e-4  # smallest noise that weights assume
 
@@ -148,7 +149,7 @@ def derivatives(motion: Motion) -> Derivatives:
     angles = _low_pass(CubicSpline(motion.t_s, motion.angles_rad)(t), t)
     cart = CubicSpline(motion.t_s, motion.cart_m)(t)
     pressure = _low_pass(np.interp(t, motion.t_s, motion.pressure_kpa), t)
-    edge = max(2, round(0.3 / h))  # the filter is inaccurate at the ends
+    edge = max(2, round(EDGE_S / h))
     keep = np.interp(t, motion.t_s, motion.compared.astype(float)) == 1.0
     keep[:edge] = keep[-edge:] = False
     rates, accelerations = differences(angles, h)

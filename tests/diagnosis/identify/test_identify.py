@@ -140,6 +140,11 @@ def test_lost_frames_and_a_long_gap_are_survived(record):
     assert gappy.compared.mean() > 0.8
 
 
+def test_a_trial_of_which_the_filter_leaves_nothing_is_refused(record):
+    with pytest.raises(TrialError, match=r"0 samples are 0\.3 s away from both ends .* record longer"):
+        identify(Model(), (record("pressure-multisine", length_s=0.55),))
+
+
 def test_a_trial_without_pressure_is_left_out_in_words(record):
     trial = record("pressure-multisine", length_s=7.0)
     blind = replace(trial, channels={k: v for k, v in trial.channels.items() if k != "pressure"})
