@@ -47,7 +47,7 @@ def identify(
     It measures parameters that the simulator has; `softarm diagnose` finds effects that it lacks.
 
     It starts with the paper's method: torques by inverse dynamics, then least squares. It then fits the simulator to
-    the motion of every link. The 95 % intervals come from leaving out one-second blocks. Masses and lengths are those
+    the motion of every link. The 95 % intervals come from leaving out blocks of 1.5 s. Masses and lengths are those
     of --model. --limits also measures the rail: its worst latency, braking and acceleration.
 
     \b
