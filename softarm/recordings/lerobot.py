@@ -47,13 +47,14 @@ class Written:
     episodes: int
     reached: int
     frames: int
-    left_out: int  # goals with a missed tick, or with a tick without observation or action
+    left_out: int  # incomplete goals
 
 
 def episodes(path: Path) -> Iterator[Episode | None]:
     """Yield the reach goals of a log in their order, and None for one that is incomplete.
 
-    A goal is complete if each of its ticks has an observation and an action, and no tick is missing.
+    A goal is complete if each of its ticks has an observation and an action, no tick is missing, and its end is
+    recorded.
 
     Raises:
         LogError: The file is not a log.
@@ -72,6 +73,8 @@ def episodes(path: Path) -> Iterator[Episode | None]:
             seen = [*out.observed.values] if out.observed else [math.nan] * len(Observation._fields)
             target = [math.nan if x is None else x for x in (status.goal.y_m, status.goal.z_m)]
             rows.append((out.tick, [*seen, *target], [*(out.action or (math.nan, math.nan))]))
+    if rows:
+        yield None  # the log ends within this goal
 
 
 def complete(rows: Sequence[tuple[int, list[float], list[float]]], reached: bool) -> Episode | None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.recordings import lerobot, tables
 
 
@@ -60,6 +61,19 @@ def test_a_goal_with_a_missed_tick_is_left_out_and_counted(log, tmp_path):
     assert (written.episodes, written.left_out) == (len(found), 1)
     rows = [(tick, [0.0] * 10, [0.0, 0.0]) for tick in (1, 2, 4)]
     assert lerobot.complete(rows, True) is None
+
+
+def test_a_goal_that_runs_at_the_end_of_a_log_is_left_out_and_counted(log, tmp_path):
+    with (tmp_path / "killed.mcap").open("wb") as file:
+        writer = TickFile(file)
+        for inputs, outputs, timing in log:
+            writer.write((inputs, outputs, timing))
+            if outputs.goal.number == 2 and outputs.goal.state == "running":
+                break
+        writer.flush()
+    first, second = lerobot.episodes(tmp_path / "killed.mcap")
+    assert first is not None
+    assert second is None
 
 
 def test_a_log_without_a_complete_goal_is_an_error(tmp_path):
