@@ -16,7 +16,7 @@ from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.flights import SHELF_MIDDLE_M
 from softarm.schemas.goals import GoalStatus
-from softarm.schemas.messages import Command, MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, Command, MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
 
@@ -178,12 +178,14 @@ def figures(moment: Moment) -> dict[str, Any]:
 def first_stamp_ns(path: Path) -> int:
     """Return the stamp of the first measurement or tick, CLOCK_MONOTONIC; seconds of a log count from it.
 
+    A frame that another clock has stamped does not count.
+
     Raises:
         LogError: The file is not a log.
     """
     for one in records(path):
         match one:
-            case MocapFrame():
+            case MocapFrame() if one.t_capture_ns - one.t_receive_ns <= CAPTURE_AHEAD_MAX_NS:
                 return one.t_capture_ns
             case PressureReading() | RailReading():
                 return one.t_receive_ns

@@ -9,7 +9,7 @@ from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.trials import ROBOT_CHANNELS, Series, Trial, TrialError
 from softarm.recordings import flight, live, mcap_file
 from softarm.schemas import log
-from softarm.schemas.messages import BODY_NAMES, CAPTURE_AHEAD_MAX_NS
+from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS
 
 # A cart that moved less was held.
 HELD_M = 5e-4
@@ -24,19 +24,13 @@ def read(path: Path) -> Trial:
     starts with the first tick that enabled the drive. Raises TrialError if the file is not a log of the daemon.
     """
     readings = _Readings()
-    messages = 0
     try:
         for topic, data in mcap_file.messages(path):
-            messages += 1
             readings.add(topic, data)
     except mcap_file.LogError as error:
         raise TrialError(str(error)) from None
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        raise TrialError(
-            f"{path}: message {messages} on {topic}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}; "
-            "check whether another version recorded it, or it was edited"
-        ) from None
+        raise TrialError(str(flight.unreadable(path, topic, error))) from None
     return _trial(path, readings.rows, readings.policies)
 
 
@@ -96,11 +90,6 @@ def _trial(path: Path, rows: Rows, policies: set[str]) -> Trial:
             missing[name] = f"{path} contains no {name} readings"
             continue
         table = np.array(rows[name], dtype=float)
-        if table.shape[1] != len(units) + 1:
-            raise TrialError(
-                f"{path}: a {name} reading has {table.shape[1] - 1} values, but {len(units)} are needed "
-                f"(bodies: {', '.join(BODY_NAMES)}); name a log of this robot"
-            )
         series = Series(table[:, 0].copy(), {c: table[:, i].copy() for i, c in enumerate(units, 1)})
         # The loop may log a reading twice; it counts once.
         found[name], odd = checks.tidy_stamps(series, f"{path}: {name}")

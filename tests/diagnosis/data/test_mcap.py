@@ -1,14 +1,18 @@
 """The daemon's log as a trial: same values, measured stamps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.logbook.ticks import TickFile
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.diagnosis.data import mcap
 from softarm.diagnosis.data.trials import TrialError
 from softarm.policies.excite import Excite
+from softarm.recordings import flight
 from softarm.schemas.config import Config
 from softarm.schemas.config import Recorder as RecorderConfig
 from softarm.schemas.goals import Goal
@@ -57,8 +61,6 @@ def test_a_truncated_log_is_read_to_its_end(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
-    from softarm.daemon.logbook.ticks import TickFile
-
     with live.open("wb") as file:
         writer = TickFile(file)
         for tick in logs.read(recording):
@@ -69,6 +71,19 @@ def test_a_truncated_log_is_read_to_its_end(recording, tmp_path):
     count = len(half.channels["mocap"])
     assert 0.3 < count / len(whole.channels["mocap"]) < 0.7
     np.testing.assert_array_equal(half.channels["mocap"].t_s, whole.channels["mocap"].t_s[:count])
+
+
+def test_frames_of_another_clock_are_left_out_and_set_no_zero(recording, tmp_path):
+    early = tmp_path / "early.mcap"
+    with early.open("wb") as file:
+        writer = TickFile(file)
+        for inputs, outputs, timing in logs.read(recording):
+            wrong = tuple(replace(f, t_capture_ns=f.t_receive_ns + 10**9) for f in inputs.mocap)
+            writer.write((replace(inputs, mocap=wrong) if outputs.tick < 3 else inputs, outputs, timing))
+        writer.flush()
+    trial, begin_ns = mcap.read(early), flight.first_stamp_ns(early)
+    first = next(frame for inputs, outputs, _ in logs.read(recording) if outputs.tick >= 3 for frame in inputs.mocap)
+    assert trial.channels["mocap"].t_s[0] == (first.t_capture_ns - begin_ns) * 1e-9
 
 
 def test_a_file_that_is_not_a_log_is_rejected(tmp_path):
