@@ -32,10 +32,10 @@ class Columns:
         return f"{self.files[channel]}: column {named.source}"
 
     def reading(self, channel: str, column: str, value: float) -> str:
-        """Return a value in the table's unit, as it is written in the table, before `add`."""
+        """Return a value as it is written in the table, before `scale` and `add`, with its unit if it has one there."""
         about = self.of(channel, column)
-        text = f"{(value - about.add) / factor(about.unit)[0]:.4g}"
-        return text if about.unit in ("1", PURE) else f"{text} {about.unit}"
+        text = f"{(value - about.add) / factor(about.unit)[0] / (about.scale or 1.0):.4g}"
+        return text if about.unit in ("1", PURE) or about.scale != 1.0 else f"{text} {about.unit}"
 
     def of(self, channel: str, column: str | None) -> Column:
         """Return a column as the stage.yaml describes it, or the time column if `column` is None."""

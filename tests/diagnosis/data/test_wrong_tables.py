@@ -245,10 +245,11 @@ def test_a_position_that_no_force_explains_is_reported(tmp_path):
     assert re.search(r"column x: position accelerates by 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
 
 
-def test_a_velocity_of_zero_in_every_row_is_a_dead_sensor(tmp_path):
-    cart(tmp_path)
-    (tmp_path / "cart.csv").write_text(table("t,i,x,v", T, np.sin(3 * T), np.sin(3 * T), 0 * T))
-    assert "column v: velocity is 0 mm/s in every row; a dead sensor" in refusal(tmp_path / "stage.yaml")
+@pytest.mark.parametrize(("keys", "shown"), [("", "512 mm/s"), (", scale: 0.25", "512"), (", scale: 0", "0")])
+def test_a_velocity_that_never_changes_is_a_dead_sensor(tmp_path, keys, shown):
+    cart(tmp_path, ("unit: mm/s", f"unit: mm/s{keys}"))
+    (tmp_path / "cart.csv").write_text(table("t,i,x,v", T, np.sin(3 * T), np.sin(3 * T), 0 * T + 512))
+    assert f"column v: velocity is {shown} in every row; a dead sensor" in refusal(tmp_path / "stage.yaml")
 
 
 PENDULUM = """
