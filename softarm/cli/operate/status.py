@@ -29,6 +29,8 @@ def status(daemon: Remote, watch: bool, as_json: bool) -> None:
       softarm status --watch
       softarm status --json
     """
+    if watch and as_json:
+        raise click.UsageError("--watch shows lines for a person, --json one answer for a script: omit one")
     if watch:
         _watch(daemon)
     elif as_json:

@@ -16,6 +16,7 @@ from softarm.cli.shared.console import (
     print_json,
     print_option,
     print_table,
+    typed,
     waiting,
 )
 from softarm.cli.shared.errors import INTERRUPTED, fail, failing, leaves
@@ -58,6 +59,9 @@ def twin(
       softarm twin fault mocap_freeze=1 --config twin.yaml          while it runs
     """
     if context.invoked_subcommand is not None:
+        if options := typed():
+            verb = f"softarm twin {context.invoked_subcommand}"
+            raise click.UsageError(f"{options[0]} goes without a verb, or after it: `{verb} --help` lists its options")
         return
     if LIST in faults:
         list_faults(reality)

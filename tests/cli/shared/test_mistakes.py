@@ -161,6 +161,11 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("goal reach nan 0.6", "nan is not a finite number; allowed are finite numbers; correct it"),
         ("goal run --seconds inf", "inf is not a finite number; allowed are finite numbers in the range x>0; correct"),
         ("goal reach left 0.6", "'left' is not a valid number"),
+        ("status --watch --json", "--json one answer for a script: omit one"),
+        (
+            "twin --config twin.yaml fault list",
+            "--config goes without a verb, or after it: `softarm twin fault --help`",
+        ),
         ("goal xyzzy", "`softarm goal --help` lists the verbs."),
         ("incidents --out x.zip", "--out is for one file: give its NAME, or `latest`"),
         ("logs export --to xls a.mcap", "'xls' is not one of 'csv', 'parquet', 'foxglove'"),
