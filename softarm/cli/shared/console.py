@@ -157,12 +157,17 @@ def check_places(*places: Path | None) -> None:
 
 def token_of(file: Path | None) -> str | None:
     """Return the API token from a file, or else from $SOFTARM_TOKEN, or None."""
-    if file is None:
-        return os.environ.get("SOFTARM_TOKEN")
-    try:
-        return file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        fail(f"--token-file {file}: cannot be read ({error}); name the file of the daemon's api.token_file")
+    place, token = "$SOFTARM_TOKEN", os.environ.get("SOFTARM_TOKEN")
+    remedy = "name the file of the daemon's api.token_file"
+    if file is not None:
+        place = f"--token-file {file}"
+        try:
+            token = file.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            fail(f"{place}: cannot be read ({error}); {remedy}")
+    if token is not None and not (token.isascii() and token.isprintable()):
+        fail(f"{place}: is no token; allowed are letters, digits and other printable ASCII characters; {remedy}")
+    return token
 
 
 WIDTH = 80  # where there is no terminal

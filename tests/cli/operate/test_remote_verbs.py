@@ -388,6 +388,10 @@ def test_a_token_file_overrides_the_token_of_the_environment(softarm, daemon, tm
     result = softarm("status", "--token-file", tmp_path / "none")
     assert result.exit_code == 1
     assert "none: cannot be read" in result.stderr
+    (tmp_path / "token").write_text("schlüssel")
+    result = softarm("status", "--token-file", tmp_path / "token")
+    assert result.exit_code == 1
+    assert "token: is no token; allowed are letters, digits and other printable ASCII characters; name" in result.stderr
 
 
 def test_proxies_of_the_environment_are_ignored(softarm, daemon, monkeypatch, make_status):
