@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common import files
-from softarm.recordings import flight
+from softarm.recordings import flight, tables
 from softarm.schemas.goals import GoalStatus
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation
@@ -102,21 +102,23 @@ def write(folder: Path, found: Iterable[Episode | None]) -> Written:
         raise ValueError(f"no complete reach goal; {len(every)} are incomplete; name logs in which the arm swung")
     for name in ("data", "meta"):
         shutil.rmtree(folder / name, ignore_errors=True)
-    tables = [_columns(episode, k) for k, episode in enumerate(kept)]
+    for name in ("data", "meta/episodes"):
+        (folder / name / _FILE).parent.mkdir(parents=True)
+    parts = [_columns(episode, k) for k, episode in enumerate(kept)]
     ends = np.cumsum([len(episode.state) for episode in kept])
-    data = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     data["index"] = np.arange(ends[-1])
-    _parquet(folder / "data" / _FILE, pyarrow.table({name: _array(values) for name, values in data.items()}))
+    tables.write_arrow(folder / "data" / _FILE, tables.arrow(data))
     rows = []
-    for k, (table, end) in enumerate(zip(tables, ends.tolist(), strict=True)):
+    for k, (part, end) in enumerate(zip(parts, ends.tolist(), strict=True)):
         length = len(kept[k].state)
         about = {"episode_index": k, "tasks": [TASK], "length": length, "data/chunk_index": 0, "data/file_index": 0}
         about |= {"dataset_from_index": end - length, "dataset_to_index": end}
-        own = _statistics(table | {"index": np.arange(end - length, end)})
+        own = _statistics(part | {"index": np.arange(end - length, end)})
         about |= {f"stats/{name}/{key}": value for name, of in own.items() for key, value in of.items()}
         rows.append(about | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
-    _parquet(folder / "meta/episodes" / _FILE, pyarrow.Table.from_pylist(rows))
-    _parquet(folder / "meta/tasks.parquet", _tasks())
+    tables.write_arrow(folder / "meta/episodes" / _FILE, pyarrow.Table.from_pylist(rows))
+    tables.write_arrow(folder / "meta/tasks.parquet", _tasks())
     files.write_text(folder / "meta/stats.json", json.dumps(_statistics(data), indent=1) + "\n")
     files.write_text(folder / "meta/info.json", json.dumps(_info(len(kept), int(ends[-1]), data), indent=1) + "\n")
     return Written(len(kept), sum(episode.reached for episode in kept), int(ends[-1]), len(every) - len(kept))
@@ -147,8 +149,8 @@ def read(folder: Path) -> list[Episode]:
         )
     wanted = [*_NAMES, "episode_index", "frame_index", *(["next.success"] if "next.success" in features else [])]
     try:
-        tables = [parquet.read_table(path, columns=wanted) for path in sorted(folder.glob("data/*/*.parquet"))]
-        table = pyarrow.concat_tables(tables).sort_by([("episode_index", "ascending"), ("frame_index", "ascending")])
+        found = [parquet.read_table(path, columns=wanted) for path in sorted(folder.glob("data/*/*.parquet"))]
+        table = pyarrow.concat_tables(found).sort_by([("episode_index", "ascending"), ("frame_index", "ascending")])
     except (OSError, pyarrow.ArrowInvalid) as error:
         raise ValueError(f"{folder}: its Parquet files cannot be read ({error}); {_EXPORT}") from None
     state, action = (np.stack(table[name].to_numpy()).astype(np.float32) for name in _NAMES)
@@ -221,15 +223,6 @@ def _statistics(columns: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, list
     return found
 
 
-def _array(values: NDArray[Any]) -> Any:
-    """Return a column for Parquet; a matrix becomes lists of fixed length."""
-    import pyarrow
-
-    if values.ndim == 1:
-        return pyarrow.array(values)
-    return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(values.reshape(-1)), values.shape[1])
-
-
 def _tasks() -> Any:
     """Return the table of tasks, whose index pandas reads as their names."""
     import pyarrow
@@ -242,11 +235,3 @@ def _tasks() -> Any:
     about = {"index_columns": [index], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
     table = pyarrow.table({"task_index": [0], index: [TASK]})
     return table.replace_schema_metadata({"pandas": json.dumps(about)})
-
-
-def _parquet(path: Path, table: Any) -> None:
-    from pyarrow import parquet
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with files.replacing(path) as file:
-        parquet.write_table(table, file)

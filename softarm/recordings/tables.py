@@ -33,7 +33,18 @@ def write(path: Path, table: Table) -> None:
         OSError: The file cannot be written.
         ModuleNotFoundError: pyarrow is not installed.
     """
-    files.write_bytes(path, _parquet(table) if path.suffix == ".parquet" else _csv(table))
+    if path.suffix == ".parquet":
+        write_arrow(path, arrow(table))
+    else:
+        files.write_bytes(path, _csv(table))
+
+
+def write_arrow(path: Path, table: Any) -> None:
+    """Write a `pyarrow.Table` as .parquet, replacing an existing file. Raises OSError as `write` does."""
+    from pyarrow import parquet
+
+    with files.replacing(path) as file:
+        parquet.write_table(table, file)
 
 
 def about(log: LogFile) -> str:
@@ -101,7 +112,7 @@ def _cells(column: Sequence[Any] | NDArray[Any]) -> list[Any]:
 
 
 def arrow(table: Table) -> Any:
-    """Return a table as a `pyarrow.Table`, with null for a missing value.
+    """Return a table as a `pyarrow.Table`, with null for a missing value; a matrix becomes lists of fixed length.
 
     Raises:
         ModuleNotFoundError: pyarrow is not installed.
@@ -111,14 +122,8 @@ def arrow(table: Table) -> Any:
     def array(column: Sequence[Any] | NDArray[Any]) -> Any:
         if isinstance(column, np.ndarray) and column.dtype.kind == "M":
             return pyarrow.array(column, pyarrow.timestamp("ns", tz="UTC"))
+        if isinstance(column, np.ndarray) and column.ndim == 2:
+            return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(column.reshape(-1)), column.shape[1])
         return pyarrow.array(np.asarray(column) if len(column) else np.array([], dtype=float), from_pandas=True)
 
     return pyarrow.table({name: array(column) for name, column in table.items()})
-
-
-def _parquet(table: Table) -> bytes:
-    from pyarrow import parquet
-
-    buffer = io.BytesIO()
-    parquet.write_table(arrow(table), buffer)
-    return buffer.getvalue()
