@@ -3,14 +3,15 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from softarm.diagnosis.answer.worst import window, worst
 from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
-from softarm.diagnosis.report import overlays
 from softarm.diagnosis.report.words import percents, unit_of
 from softarm.reporting import charts, plot
 from softarm.reporting.markup import Html, bar, el, join, legend, prose, table
 from softarm.reporting.numbers import number, percent, quantity
 
 Row = TypeVar("Row")
+_CHOICES = ("stage", "trial", "channel")
 _AT_ONCE = 20  # rows of a table
 
 
@@ -18,7 +19,7 @@ def traces(diagnosis: Diagnosis) -> Html:
     """Return the section with measured, nominal and patched signals over time."""
     if not diagnosis.overlays:
         return el("p", "No recordings to draw.", class_="none")
-    shown = overlays.traces(diagnosis)
+    shown = _traces(diagnosis)
     kinds = max((list(one.curves) for one in shown), key=len)
     every = plot.every(shown)
     thin = f" One of {every} samples is drawn, to keep the page small." if every > 1 else ""
@@ -26,8 +27,27 @@ def traces(diagnosis: Diagnosis) -> Html:
         "Each stage is simulated alone, driven by the signals measured before it. "
         f"The lower strip is measured minus simulated; its grey band is the stage's noise floor.{thin}"
     )
-    drawn = plot.charts(overlays.CHOICES, kinds, "measured and simulated signals over time")
+    drawn = plot.charts(_CHOICES, kinds, "measured and simulated signals over time")
     return join([el("p", text), drawn])
+
+
+def packed(diagnosis: Diagnosis) -> dict[str, object]:
+    """Return the page's plot data, opened at the largest gap."""
+    at = worst(diagnosis)
+    view = window(diagnosis.overlays[at]) if diagnosis.overlays else None
+    return plot.packed(_CHOICES, _traces(diagnosis), at, view)
+
+
+def _traces(diagnosis: Diagnosis) -> list[plot.Traces]:
+    """Return the measured and simulated curves of every stage, trial and channel, with the noise floor."""
+    found = []
+    for each in diagnosis.overlays:
+        curves = {"measured": each.measured, "nominal": each.nominal}
+        curves |= {"patched": each.patched} if each.patched is not None else {}
+        curves |= {"calibrated": each.calibrated} if each.calibrated is not None else {}
+        chosen, floor = (each.stage, each.trial, each.channel), diagnosis.verdict.gap.floor[each.stage].value
+        found.append(plot.Traces(chosen, each.kind, each.unit, each.t_s, curves, floor))
+    return found
 
 
 def frequencies(diagnosis: Diagnosis) -> Html:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from softarm.common import files
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.report import evidence, overlays, sections, stages
+from softarm.diagnosis.report import evidence, sections, stages
 from softarm.diagnosis.report.answer import headline
 from softarm.diagnosis.report.film import drawing
 from softarm.reporting.document import Section, document
@@ -39,7 +39,7 @@ def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
         Section("Details", "details", sections.details(diagnosis), folded=True),
         Section("Method", "method", sections.method(diagnosis), folded=True),
     ]
-    lead, data = sections.result(diagnosis), overlays.packed(diagnosis)
+    lead, data = sections.result(diagnosis), evidence.packed(diagnosis)
     return document(headline(diagnosis), "softarm diagnosis", lead, shown, plot=data)
 
 
