@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import (
     FILE,
     Number,
@@ -192,7 +191,7 @@ PRINTED_S = 1.0  # interval of the objects of --json
 PRIORITY = 20  # that of the control loop, since cameras do not wait for other programs
 
 
-@click.group(cls=Verbs)
+@click.group()
 def bridge() -> None:
     """Pass on motion capture to the daemon, and find the pose of the cameras relative to the robot.
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import (
     FILE,
     NUMBER,
@@ -30,7 +29,7 @@ OUT = Path("runs/trajectories.npz")
 LISTED = 12  # so many plans are shown one by one
 
 
-@click.group(cls=Verbs)
+@click.group()
 def dev() -> None:
     """Optimise trajectories, and write policy files: tools of softarm's makers.
 

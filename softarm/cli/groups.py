@@ -1,4 +1,4 @@
-"""Click groups: verbs whose module is imported when the verb is used, and suggestions for misspelt verbs."""
+"""Click group of verbs, whose module is imported when the verb is used, and its handling of errors."""
 
 import errno
 import logging
@@ -14,26 +14,10 @@ import click
 
 from softarm.cli.shared.errors import INTERRUPTED, fail, left_now
 from softarm.common.processes import work_clock
-from softarm.common.words import nearest
 
 DEFECT = 70  # exit code of a defect in softarm (EX_SOFTWARE of sysexits.h)
 NAME_SHOWN = 40  # letters of a file's name that is too long
 LOGGER = "softarm.simulator.compiled"
-
-
-class Verbs(click.Group):
-    """Group of verbs below a verb."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb, or suggest the nearest name."""
-        try:
-            return super().resolve_command(ctx, args)
-        except click.UsageError:
-            near = nearest(args[0], self.list_commands(ctx))
-            hint = f"did you mean '{near}'?" if near else f"`{ctx.command_path} --help` lists the verbs."
-            raise click.UsageError(f"no verb '{args[0]}'; {hint}", ctx) from None
 
 
 class Verb(NamedTuple):
@@ -44,12 +28,14 @@ class Verb(NamedTuple):
     extra: str = ""  # extra that installs the imported packages
 
 
-class LazyGroup(Verbs):
+class LazyGroup(click.Group):
     """Group of verbs from a table: section -> name -> verb."""
 
     def __init__(self, *args: Any, sections: Mapping[str, Mapping[str, Verb]], **options: Any) -> None:
         super().__init__(*args, **options)
         self._sections = sections
+        # click suggests a name of these; `get_command` imports the verb.
+        self.commands = {name: click.Command(name) for name in self._verbs}
 
     @property
     def _verbs(self) -> dict[str, Verb]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.client import Remote, options_for, url_of
 from softarm.cli.shared.console import FILE, Number, given, load_config, token_of, token_option, url_option
 from softarm.cli.shared.errors import fail, leaves
@@ -293,7 +292,7 @@ config_option = click.option(
 )
 
 
-@click.group(cls=Verbs)
+@click.group()
 def rail() -> None:
     """Home the axis and find the middle of the rail (docs/operate/homing.md).
 

@@ -15,7 +15,6 @@ import click
 
 from softarm import __version__
 from softarm.cli.gap.new_rig import rig
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import FOLDER
 from softarm.common import files
 from softarm.common.plugins import PluginError
@@ -153,7 +152,7 @@ def _taken(kind: str) -> set[str]:
     return {*PRESETS, *tasks.names()}
 
 
-@click.group(cls=Verbs)
+@click.group()
 def new() -> None:
     """Create the package of a plug-in, or the stage file of a rig.
 

@@ -5,7 +5,6 @@ from typing import Any
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.operate.status import goal_line
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import targets
@@ -15,7 +14,7 @@ from softarm.cli.shared.errors import fail, leaves
 wait_option = click.option("--wait", is_flag=True, help="Wait for the end; exit code 1 if it is not reached.")
 
 
-@click.group(cls=Verbs, invoke_without_command=True)
+@click.group(invoke_without_command=True)
 @click.pass_context
 @remote
 def goal(daemon: Remote, context: click.Context) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import policies
 from softarm.cli.shared.console import FILE, load_config, print_json, print_option, waiting
@@ -15,7 +14,7 @@ Json = dict[str, Any]
 LOADING_S = 125.0  # the daemon stops loading a policy after 120 s
 
 
-@click.group(cls=Verbs)
+@click.group()
 def policy() -> None:
     """List the available policies or choose one.
 

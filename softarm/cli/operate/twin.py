@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared import completion
 from softarm.cli.shared.console import (
     FILE,
@@ -29,7 +28,7 @@ config = click.option("--config", "config_file", type=FILE, help="The daemon's c
 LIST = "list"
 
 
-@click.group(cls=Verbs, invoke_without_command=True)
+@click.group(invoke_without_command=True)
 @config
 @model_option
 @click.option("--reality", is_flag=True, help="Simulate the independent robot in MuJoCo (docs/reference/reality.md).")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.recordings.events import show_event
 from softarm.cli.shared import completion
 from softarm.cli.shared.client import Remote, remote
@@ -27,7 +26,7 @@ FORMS = ("csv", "parquet", "foxglove", "lerobot")
 LAYOUT = "softarm-layout.json"
 
 
-@click.group(cls=Verbs)
+@click.group()
 def logs() -> None:
     """List, show, play, replay, export and repair the daemon's recordings.
 

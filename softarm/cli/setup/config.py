@@ -4,14 +4,13 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import FILE, print_json, print_option, print_table, write
 from softarm.cli.shared.errors import fail
 
 WIDTH = 160  # of the table where there is no terminal
 
 
-@click.group(cls=Verbs)
+@click.group()
 def config() -> None:
     """Write a new configuration, or look up its keys with unit and range.
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.groups import Verbs
 from softarm.cli.shared.console import FILE, load_config
 from softarm.cli.shared.errors import fail
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from softarm.daemon.install.steps import Step
 
 
-@click.group(cls=Verbs)
+@click.group()
 def service() -> None:
     """Install the daemon as a systemd service that starts with this computer.
 
