@@ -52,7 +52,8 @@ def main(
     check_places(json_file, report)
     with tempfile.TemporaryDirectory(prefix="softarm-soak-") as folder:
         kept = Path(folder) if logs is None else logs
-        kept.mkdir(parents=True, exist_ok=True)
+        with failing(OSError):
+            kept.mkdir(parents=True, exist_ok=True)
         if any(kept.iterdir()):
             raise click.ClickException(f"--logs {kept}: is not empty, and its size is measured; name a new folder")
         with failing(SoftwareInTheLoopError, PolicyError, WorkerDied), bar("soaking") as shown:

@@ -82,10 +82,6 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ),
         ("config units torque", "no key contains 'torque'"),
         ("dev plan --out a.mcap/plans/p.npz", "a.mcap/plans: cannot be read or written (Not a directory); choose"),
-        (
-            "dev soak --lockstep-days 1 --hours 0 --logs a.mcap/x",
-            "a.mcap/x: cannot be read or written (Not a directory)",
-        ),
         ("diagnose campaign --out a.mcap/x", "a.mcap/x: cannot be read or written (Not a directory); choose another"),
         ("diagnose campaign --json no/v.json", "no/v.json: the folder no does not exist; create it"),
         ("diagnose nowhere", "nowhere: does not exist; name an MCAP log, a trial folder"),
