@@ -23,7 +23,7 @@ from softarm.training.task import registry
 from softarm.training.task.environment import Randomisation
 from softarm.training.task.reach import TASKS, ReachTask, ShelfTask
 
-Setting = bool | int | float | str | tuple[float, ...]
+Setting = bool | int | float | str | tuple[int, ...] | tuple[float, ...]
 # Settings that must lie above zero.
 POSITIVE = (
     "task.episode_steps",

@@ -172,3 +172,10 @@ def test_a_run_on_a_cluster_takes_its_files_and_a_graphics_card_along(file, tmp_
     assert work.reads(run) == [Path("seed"), Path("out/mlp/seed-2")]
     assert work.cards(run) == 0
     assert work.cards(run._replace(recipe=run.recipe.changed(None, {"run.device": "cuda"}))) == 1
+
+
+def test_a_recipe_may_set_the_sizes_of_the_network():
+    settings = {"network.mlp": [64, 32], "network.state": 48, "task.target_y_m": [-0.3, 0]}
+    made = prepare(Recipe.model_validate({"settings": settings}), 1)
+    assert (made.network.mlp, made.network.state) == ((64, 32), 48)
+    assert made.task.target_y_m == (-0.3, 0.0)
