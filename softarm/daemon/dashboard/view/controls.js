@@ -9,6 +9,7 @@ export const ROLE_LIMITS = {
   view: "Your token may only view and stop. To control the robot, log in with the token of api.token_file.",
 };
 
+const FAULTS = ["rail_fault", "regulator_fault"]; // which an acknowledgement resets
 const goal = (body) => () => post("api/goal", body);
 // why(status) returns why the button is disabled, or an empty text.
 const BUTTONS = {
@@ -22,7 +23,7 @@ const BUTTONS = {
     done: "Acknowledged. The robot is disarmed.",
     send: () => post("api/acknowledge"),
     // While a cause is present the request is refused, but it resets the devices' faults.
-    why: ({ mode }) => (mode !== "stopped" ? "No emergency stop is latched." : ""),
+    why: ({ mode, events }) => (mode === "stopped" || events.some(({ name }) => FAULTS.includes(name)) ? "" : "No emergency stop is latched, and no device reports a fault."),
   },
   "do-hold": { done: "Holding.", send: goal({ kind: "hold" }), why: ({ mode }) => (mode === "armed" ? "" : "Arm the robot first.") },
   "do-run": { done: "Running.", send: goal({ kind: "run" }), why: ({ mode }) => (mode === "armed" ? "" : "Arm the robot first.") },
