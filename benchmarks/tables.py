@@ -279,14 +279,16 @@ def card(read: Read) -> str:
 def matrix(read: Read) -> str:
     """Return a row for each part and fault, with the arm's reaction in each phase."""
     cells: dict[tuple[str, str], dict[str, Any]] = {}
+    columns = "open", "read", "write", "close"
     for found in read("matrix")["cells"]:
-        cells.setdefault((found["who"], found["fault"]), {})[found["phase"]] = found
+        phase = found["phase"] if found["phase"] in columns else "read"  # a policy's step, a process
+        cells.setdefault((found["who"], found["fault"]), {})[phase] = found
     rows = []
     for (part, fault), phases in cells.items():
         events = dict.fromkeys(f"`{name}`" for found in phases.values() for name in found["logged"])
-        reactions = [f"{phase}: {_reaction(found)}" for phase, found in phases.items()]
-        rows.append([part, f"`{fault}`", "; ".join(reactions), ", ".join(events)])
-    return markdown(("part", "fault", "the arm, by phase", "events"), rows)
+        reactions = [_reaction(phases[name]) if name in phases else "" for name in columns]
+        rows.append([part, f"`{fault}`", *reactions, ", ".join(events)])
+    return markdown(("part", "fault", *columns, "events"), rows)
 
 
 def _reaction(found: Mapping[str, Any]) -> str:
@@ -297,7 +299,7 @@ def _reaction(found: Mapping[str, Any]) -> str:
     if not found["stopped"]:
         return "flies"
     times = [found["braked_ms"], found["vented_ms"]]
-    return "stops" if None in times else f"safe in {max(times):.0f} ms"
+    return "stops" if None in times else f"{max(times):.0f} ms"
 
 
 def adversary(read: Read) -> str:
@@ -462,7 +464,7 @@ def blind_methods(read: Read) -> str:
     """Return the main measures of the diagnosis and of simpler rules on the same robots."""
     methods = read("blind")["methods"]
     rows = [
-        [title, *(_share(method["measures"][name]) for method in methods.values())] for name, title in _MEASURES.items()
+        [title, *(_share(each["measures"][name]) for each in methods.values())] for name, title in _MEASURES.items()
     ]
     rows.append(["processor seconds a case, median", *(f"{each['seconds_median']:.0f}" for each in methods.values())])
     return markdown((f"{methods['diagnose']['cases']} cases", *methods), rows)

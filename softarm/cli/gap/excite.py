@@ -41,8 +41,8 @@ def excite(
 ) -> None:
     """Play the excitations NAME and record each: the arm is armed, moves, and is disarmed again.
 
-    The daemon's own safety filter, failsafe and recorder run. Its API answers, so `softarm stop` works. Before each
-    excitation the cart moves to the middle of the rail.
+    The daemon's own safety filter, failsafe and recorder run. Its API answers, so `softarm stop` works. Before an
+    excitation that moves the cart, the cart moves to the middle of the rail.
 
     \b
     Examples:

@@ -82,7 +82,7 @@ def run(daemon: Remote, seconds: float | None, wait: bool, as_json: bool) -> Non
 @goal.command()
 @remote
 def hold(daemon: Remote) -> None:
-    """Brake the cart and set the muscle to its rest pressure; the arm stays armed.
+    """Brake the cart and vent the muscle; the arm stays armed.
 
     \b
     Example:

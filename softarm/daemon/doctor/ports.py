@@ -23,7 +23,7 @@ from softarm.drivers.mocap import plugged
 from softarm.schemas.config import Config, Ros
 
 CONNECT_S = 1.0
-SLOW_MS = 8.0  # an exchange that takes longer is slower than the loop: docs/reference/wires.md
+SLOW_MS = 8.0  # to connect; exchanges are shorter than a tick
 SERIAL = ("serial/by-id/*", "ttyACM*", "softarm-regulator")  # under /dev: where a Teensy shows
 ESTABLISHED = "01"
 PORT_MAX = 65535
