@@ -85,11 +85,11 @@ _TESTS = {
     "swinging": ("mid-swing", 162),
     "shelf": ("shelf, 12", 12),
     "shelf_random": ("shelf, random", 500),
-    "held_back": ("held-back", 162),
-    "held_back_changed": ("held-back, changed", 162),
-    "held_back_later": ("held-back, rail 90 ms late", 162),
-    "held_back_weak": ("held-back, drive at 3 m/s^2", 162),
-    "held_back_shelf": ("held-back, shelf", 12),
+    "held_back": ("independent robot", 162),
+    "held_back_changed": ("independent, all three", 162),
+    "held_back_later": ("independent, rail 90 ms late", 162),
+    "held_back_weak": ("independent, drive at 3 m/s^2", 162),
+    "held_back_shelf": ("independent, shelf", 12),
 }
 _ROWS = ("reach", "reach-wide", "reach-robust", "shelf", "mppi", "trajectory", "pid", CEILING)
 
