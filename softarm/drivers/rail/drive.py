@@ -25,6 +25,7 @@ class Drive:
     def __init__(self, settings: Settings, wait: Wait, pause: Callable[[float], object]) -> None:
         self.settings = settings
         self.target = 0
+        self.is_halting = False  # found in operation by `bring_to_rest`, and not disabled yet
         self._wait, self._pause = wait, pause
         self._link: DryveLink | None = None
 
@@ -80,6 +81,7 @@ class Drive:
         while abs(drive.read(dryve.VELOCITY)) > at_rest and time.monotonic() < until_s:
             self._pause(BRAKE_PAUSE_S)
         drive.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
+        self.is_halting = False
         return operating
 
     def _halt(self) -> bool:
@@ -88,6 +90,7 @@ class Drive:
         for left in reversed(range(HALT_TRIES)):
             try:
                 operating = decode_state(drive.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
+                self.is_halting = operating
                 if operating:
                     drive.write(dryve.TARGET_VELOCITY, 0)
                     drive.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)

@@ -44,14 +44,15 @@ log = logging.getLogger(__name__)
 
 # Without a report for so long while the drive may move, the process hangs.
 SILENT_S = 0.15
-# The same while the process starts or connects.
+# The same while the process starts or connects, and while the reserve takes over a drive that may move.
 START_S = 5.0
+TAKE_OVER_S = 0.5
 # To brake, disable and disconnect, with new connections if necessary.
 STOP_S = 2.2
 # First and longest pause before a process is replaced that lived for less than `LIVED_S`.
 RETRY_S = (0.05, 1.0)
 LIVED_S = 5.0
-# Between the start of a process and of its spare.
+# Between the start of a process and of its spare, and between looks at the spare.
 SPARE_S = 1.0
 
 
@@ -104,6 +105,7 @@ class DryveRailAxis:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._active: Process | None = None
         self._spare: Process | None = None
+        self._was_spare = False  # the active process
         self._timer: asyncio.TimerHandle | None = None
         self._pause_s = RETRY_S[0]
         self._began_ns = self._received_ns = clock()
@@ -130,18 +132,19 @@ class DryveRailAxis:
         self._stopping = True
         if self._timer is not None:
             self._timer.cancel()
-        # A process that hangs is replaced once more.
+        # A process that hangs or dies is replaced once more.
         for _ in range(2):
             if self._active is None and not self._out_of_operation:
                 self._activate()
-            if self._active is None:
+            if (process := self._active) is None:
                 break
-            self._active.line.shutdown(socket.SHUT_WR)
+            process.line.shutdown(socket.SHUT_WR)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(STOP_S):
                     await self._ended.wait()
-                    # Or the drive could not be reached.
-                    self._out_of_operation = True
+                    await _reap(process.child)
+                    # Disabled, or the drive could not be reached.
+                    self._out_of_operation |= process.child.poll() == 0
             self._detach()
         if self._spare is not None:
             self._end(self._spare)
@@ -163,10 +166,10 @@ class DryveRailAxis:
         # A process that has ended is noticed by `_receive`, one that hangs below.
         with contextlib.suppress(OSError):
             self._active.line.send(pair.encode_set_point(set_point))
-        may_move = self._report is not None and not self._report.out_of_operation
-        silent_max_s = SILENT_S if may_move else START_S
-        if now_ns - self._received_ns > silent_max_s * 1e9:
-            self._killed = f"it sent no report for {silent_max_s} s and was killed"
+        if self._is_silent():
+            self._receive()  # after a delay of this loop reports are waiting
+        if self._active is not None and self._is_silent():
+            self._killed = f"it sent no report for {self._silent_max_s} s and was killed"
             self._active.child.kill()
 
     def reset_fault(self) -> None:
@@ -185,25 +188,69 @@ class DryveRailAxis:
 
     # The process
 
-    def _start_process(self) -> Process:
+    @property
+    def _silent_max_s(self) -> float:
+        if self._report is not None and not self._report.out_of_operation:
+            return SILENT_S
+        return TAKE_OVER_S if self._was_spare and not self._out_of_operation else START_S
+
+    def _is_silent(self) -> bool:
+        return self._clock() - self._received_ns > self._silent_max_s * 1e9
+
+    def _start_process(self) -> Process | None:
+        """Return a new process, or None if the system refuses it now."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with theirs:
-            return Process(self._launch(settings_of(self._config), theirs, self._priority), ours)
+            try:
+                return Process(self._launch(settings_of(self._config), theirs, self._priority), ours)
+            except OSError as error:
+                ours.close()
+                log.error("the rail's process cannot be started (%s); trying again", error)
+                return None
 
     def _activate(self) -> None:
-        """Let the spare, or else a new process, control the drive."""
+        """Let the spare, or else a new process, control the drive; try again if there is none."""
         assert self._loop is not None
-        self._active, self._spare = self._spare or self._start_process(), None
+        spare = self._take_spare()
+        self._was_spare = spare is not None
+        self._active = spare or self._start_process()
+        if self._active is None:
+            self._retry()
+            return
         self._ended.clear()
         self._began_ns = self._received_ns = self._clock()
         with contextlib.suppress(OSError):
             self._active.line.send(pair.encode_begin(not self._out_of_operation))
         self._loop.add_reader(self._active.line, self._receive)
-        self._timer = self._loop.call_later(SPARE_S, self._ensure_spare)
+        self._after(SPARE_S, self._ensure_spare)
+
+    def _retry(self) -> None:
+        self._after(self._pause_s, self._activate)
+        self._pause_s = min(2 * self._pause_s, RETRY_S[1])
+
+    def _after(self, pause_s: float, action: Callable[[], None]) -> None:
+        """Run an action later instead of the one that was planned; none while this driver stops."""
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._loop is not None and not self._stopping:
+            self._timer = self._loop.call_later(pause_s, action)
 
     def _ensure_spare(self) -> None:
-        self._spare = self._spare or self._start_process()
+        """Start a spare unless one lives, and look again later; without an active process the spare is activated."""
+        self._spare = self._take_spare() or self._start_process()
+        if self._active is None and self._spare is not None:
+            self._activate()
+        else:
+            self._after(SPARE_S, self._ensure_spare)
+
+    def _take_spare(self) -> Process | None:
+        """Return the spare if it lives, and keep none."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare.child.poll() is not None:
+            self._end(spare)
+            return None
+        return spare
 
     def _receive(self) -> None:
         """Accept all waiting reports, or replace a process that has ended."""
@@ -216,6 +263,11 @@ class DryveRailAxis:
                 packet = b""
             if packet:
                 self._accept(pair.decode_report(packet))
+            elif self._stopping:
+                assert self._loop is not None
+                self._loop.remove_reader(self._active.line)
+                self._ended.set()
+                return
             else:
                 self._replace()
 
@@ -227,23 +279,17 @@ class DryveRailAxis:
             self._reading = RailReading(t_receive_ns=fields.pop("t_ns"), **fields)
 
     def _replace(self) -> None:
-        """Detach from a process that has ended and activate another, unless this driver is stopping."""
+        """Detach from a process that has ended and activate another."""
         self._detach()
-        self._ended.set()
-        if self._stopping or self._loop is None:
-            return
         self._loss, self._killed = self._killed or "by itself", None
         log.error("the rail's process ended (%s); a new one stops the drive first", self._loss)
         if self._reading is not None:
             self._reading, self._loss_unread = replace(self._reading, enabled=False, linked=False), True
-        if self._timer is not None:
-            self._timer.cancel()
         if self._clock() - self._began_ns > LIVED_S * 1e9 or self._spare is not None:
             self._pause_s = RETRY_S[0]
             self._activate()
         else:
-            self._timer = self._loop.call_later(self._pause_s, self._activate)
-            self._pause_s = min(2 * self._pause_s, RETRY_S[1])
+            self._retry()
 
     def _detach(self) -> None:
         """Detach from the active process and reap it."""

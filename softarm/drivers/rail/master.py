@@ -83,6 +83,8 @@ RETRY_S = (0.02, 1.0)
 SHUT_DOWN_S = 2.0
 # Pause after a failed exchange in operation; a second failure in a row ends the connection.
 SECOND_TRY_S = 0.005
+# Requests of the homing status until a drive without an answer counts as one that does not report it.
+HOMED_TRIES = 3
 # Window of the reported cycle times.
 CYCLES_NS = 1_000_000_000
 
@@ -114,6 +116,7 @@ class Master:
         self._out_of_operation = not may_move
         self._feedback: Feedback | None = None
         self._homed: bool | None = None
+        self._unanswered = 0  # requests of the homing status
         self._reading: Reading | None = None
         # End and duration of each cycle of the last second, ns.
         self._cycles: list[tuple[int, int]] = []
@@ -150,6 +153,7 @@ class Master:
     def _shut_down(self) -> None:
         """Brake and disable the drive after the daemon has gone, reconnecting if necessary."""
         self._forbid()
+        self._out_of_operation &= not self._drive.is_halting
         until_s = time.monotonic() + SHUT_DOWN_S
         while not self._out_of_operation and time.monotonic() < until_s:
             try:
@@ -165,6 +169,7 @@ class Master:
     def _close(self) -> None:
         self._drive.close()
         self._feedback, self._enabling.last_step = None, None
+        self._reset_requested = False  # by somebody who has not seen what the drive reports next
 
     # The daemon's side
 
@@ -264,12 +269,18 @@ class Master:
         self._lead(feedback)
 
     def _update_homed(self, feedback: Feedback) -> None:
-        """Ask on a new connection, after a fall to switch-on disabled, and while the drive reports no zero."""
+        """Ask on a new connection, after a fall to switch-on disabled, and while the drive reports no zero.
+
+        One missing answer says nothing: only a drive that never answers has no such report.
+        """
         if not self._settings.asks_homed or not feedback.out_of_operation:
             return
         fell = feedback.state is DriveState.SWITCH_ON_DISABLED
-        if self._feedback is None or self._homed is False or (fell and self._feedback.state is not feedback.state):
+        if self._feedback is None or (fell and self._feedback.state is not feedback.state):
+            self._homed, self._unanswered = None, 0
+        if self._homed is False or (self._homed is None and self._unanswered < HOMED_TRIES):
             self._homed = self._drive.read_homed()
+            self._unanswered += self._homed is None
 
     def _is_operating(self) -> bool:
         return self._feedback is not None and self._feedback.state is DriveState.OPERATION_ENABLED

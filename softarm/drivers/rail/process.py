@@ -1,8 +1,9 @@
 """The rail's process: `python -m softarm.drivers.rail.process`, started by `driver.py` with the socket pair as input.
 
 It waits for a begin message: the daemon keeps a second process ready, so that a replacement needs no start-up time.
-It outlives the daemon until the drive is stopped: it ignores signals, and only the end of the pair ends it. It imports
-as little as possible, to start fast and to depend on nothing that could fail.
+It outlives the daemon until the drive is stopped: it ignores signals, and only the end of the pair ends it. Its exit
+code is 0 if the drive was disabled or could not be reached. It imports as little as possible, to start fast and to
+depend on nothing that could fail.
 """
 
 import contextlib
@@ -16,6 +17,8 @@ from softarm.drivers.rail.master import Master
 from softarm.drivers.rail.settings import Settings
 
 MCL_CURRENT = 1
+# systemd sends SIGTERM, and SIGABRT of its watchdog, to every process of the service.
+IGNORED = "SIGINT", "SIGTERM", "SIGHUP", "SIGABRT", "SIGQUIT", "SIGALRM", "SIGUSR1", "SIGUSR2"
 
 
 def arguments(settings: Settings, priority: int) -> list[str]:
@@ -26,8 +29,8 @@ def arguments(settings: Settings, priority: int) -> list[str]:
 
 def main(words: list[str]) -> None:
     """Control the drive until the daemon closes the pair."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    for name in IGNORED:
+        signal.signal(signal.Signals[name], signal.SIG_IGN)
     priority, host, port, *numbers = words
     _set_realtime_priority(int(priority))
     _lock_memory()

@@ -158,11 +158,14 @@ async def bench(opened: Any) -> AsyncIterator[Bench]:
 
 
 def check_controlwords(drive: Drive) -> None:
-    """Check that no controlword was sent twice, and that a drive in operation kept its bits or was shut down."""
-    words = [(r, state) for r, state in drive.requests if (r.index, bool(r.data)) == (0x6040, True)]
-    for (earlier, _), (later, _) in itertools.pairwise(words):
-        repeated = earlier.data == later.data and earlier.transaction == later.transaction
-        assert not repeated
-    for request, state in words:
+    """Check that no connection repeats a controlword, and that a drive in operation kept its bits or was shut down."""
+    for link in drive.links:
+        words = [r for r in link if (r.index, bool(r.data)) == (0x6040, True)]
+        for earlier, later in itertools.pairwise(words):
+            repeated = earlier.data == later.data and earlier.transaction == later.transaction
+            assert not repeated
+    for request, state in drive.requests:
+        if (request.index, bool(request.data)) != (0x6040, True):
+            continue
         value = int.from_bytes(request.data or b"", "little")
         assert state is not DriveState.OPERATION_ENABLED or value & 0x0F == 0x0F or value == 0x0006

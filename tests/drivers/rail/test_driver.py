@@ -306,6 +306,36 @@ async def test_a_drive_without_the_homing_status_can_fly(bench: Any, answer: Cal
     assert len(bench.drive.links) == 1
 
 
+async def test_one_missing_answer_makes_no_drive_homed(bench: Any) -> None:
+    bench.drive.reference.homed = False
+    busy = [True]
+
+    def script(telegram: bytes, regular: Callable[[], bytes]) -> bytes:
+        if telegram[12:14] == b"\x20\x14" and busy:
+            busy.clear()
+            return dryve.encode_exception(int.from_bytes(telegram[:2], "big"), 6)
+        return regular()
+
+    bench.drive.script = script
+    await bench.write_until(lambda: bench.axis.read() is not None and bench.axis.read().homed is False)
+    await bench.pass_time(0.3, True, 0.3)
+    assert 0x000F not in bench.drive.writes(dryve.CONTROLWORD)
+
+
+async def test_a_reset_that_was_requested_without_a_connection_resets_no_later_fault(bench: Any, until: Any) -> None:
+    await bench.write_until(lambda: bench.axis.read() is not None)
+    await bench.server.close()
+    await until(lambda: "connect" in (bench.axis.problem() or ""), lambda: bench.axis.write(False, 0.0))
+    bench.axis.reset_fault()
+    await bench.pass_time(0.1, False, 0.0)
+    bench.drive.trip(0x8611)
+    since = len(bench.drive.requests)
+    await bench.server.open()
+    await bench.write_until(lambda: bench.axis.read().faults)
+    await bench.write_until(lambda: len(bench.drive.requests) > since + 40)
+    assert 0x0080 not in bench.drive.writes(dryve.CONTROLWORD, since)
+
+
 async def test_asks_homed_false_skips_the_homing_status(opened: Any) -> None:
     async with opened(asks_homed=False) as bench:
         bench.drive.reference.homed = False

@@ -20,7 +20,7 @@ import pytest
 import softarm
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
-from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.rail.driver import SILENT_S, DryveRailAxis, launch
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 from tests.drivers.rail.conftest import Drive, Server
@@ -118,6 +118,19 @@ async def test_when_the_daemon_dies_the_drive_is_disabled(drive: Drive, until: A
         await until(lambda: gone(rail))
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGABRT, signal.SIGQUIT, signal.SIGUSR1])
+async def test_a_signal_to_the_whole_service_disables_the_drive(drive: Drive, until: Any, number: int) -> None:
+    """systemd sends them, SIGABRT for its watchdog, to every process of the service."""
+    async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
+        children = Path(f"/proc/{daemon}/task/{daemon}/children")  # the reserve is one
+        await until(lambda: len(children.read_text().split()) == 2)
+        for each in children.read_text().split():
+            os.kill(int(each), number)
+        os.kill(daemon, signal.SIGKILL)
+        await until(lambda: is_off(drive), drive.move)
+        await until(lambda: gone(rail))
+
+
 @pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
 async def test_when_the_daemon_freezes_the_drive_is_disabled_and_stays_disabled(
     drive: Drive, until: Any, freeze: signal.Signals
@@ -186,7 +199,7 @@ async def test_a_drive_in_fault_is_not_polled_more_often(moving: Any, until: Any
     assert len(drive.requests) - since < 150
 
 
-@pytest.mark.parametrize("before", [signal.SIGTERM, signal.SIGSTOP])
+@pytest.mark.parametrize("before", [signal.SIGTERM, signal.SIGSTOP, signal.SIGKILL])
 async def test_stopping_disables_the_drive_and_leaves_no_process_even_if_it_hangs(
     moving: Any, until: Any, monkeypatch: pytest.MonkeyPatch, before: signal.Signals
 ) -> None:
@@ -217,6 +230,78 @@ async def test_stopping_disables_the_drive_after_a_process_was_replaced(moving: 
     mover = asyncio.create_task(until(lambda: False, drive.move))
     await axis.stop()
     mover.cancel()
+    assert is_off(drive)
+
+
+async def test_a_reserve_that_hangs_is_replaced_long_before_a_process_that_starts(
+    moving: Any, until: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive, axis = moving
+    monkeypatch.setattr("softarm.drivers.rail.driver.START_S", 1e3)
+    await until(lambda: axis._spare is not None)
+    for process in (axis._active, axis._spare):
+        os.kill(process.child.pid, signal.SIGSTOP)
+    await until(lambda: is_off(drive), lambda: axis.write(True, 0.5) or drive.move())
+
+
+async def test_a_reserve_that_has_ended_is_replaced(moving: Any, until: Any) -> None:
+    _, axis = moving
+    await until(lambda: axis._spare is not None)
+    ended = axis._spare.child
+    ended.kill()
+    await until(lambda: axis._spare is not None and axis._spare.child is not ended, lambda: axis.write(True, 0.5))
+
+
+async def test_a_process_that_cannot_be_started_is_tried_again(
+    drive: Drive, until: Any, running: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    refused = False
+
+    def start(*options: Any) -> Any:
+        if refused:
+            raise BlockingIOError("no more processes")
+        return launch(*options)
+
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20, launch=start)
+
+        def steer(enable: bool) -> None:
+            axis.write(enable, 0.5)
+            axis.read()
+            drive.move()
+
+        async with running(axis):
+            await until(lambda: axis.problem() is None, lambda: steer(False))
+            await until(lambda: drive.target_velocity_m_s and axis._spare, lambda: steer(True))
+            refused = True
+            for process in (axis._spare, axis._active):
+                process.child.kill()
+            await until(lambda: "cannot be started (no more processes)" in caplog.text, lambda: steer(True))
+            refused = False
+            await until(lambda: is_off(drive) and axis.problem() is None, lambda: steer(False))
+
+
+async def test_a_delay_of_the_control_loop_leaves_the_process_alone(moving: Any, until: Any) -> None:
+    _, axis = moving
+    process = axis._active.child
+    time.sleep(2 * SILENT_S)
+    axis.write(True, 0.5)
+    received = axis._received_ns
+    await until(lambda: axis._received_ns > received, lambda: axis.write(True, 0.5))
+    assert axis._active.child is process
+    assert process.poll() is None
+
+
+async def test_a_stop_while_a_found_drive_brakes_disables_it(drive: Drive, until: Any) -> None:
+    drive.state, drive.coasts, drive.velocity_m_s = DriveState.OPERATION_ENABLED, True, 0.5
+    drive.move()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
+        axis.start()
+        await until(lambda: 0x010F in drive.writes(dryve.CONTROLWORD), drive.move)
+        mover = asyncio.create_task(until(lambda: False, drive.move))
+        await axis.stop()
+        mover.cancel()
     assert is_off(drive)
 
 
