@@ -32,6 +32,7 @@ class StopKey:
         """
         if os.isatty(self._terminal) and _in_foreground(self._terminal):
             self._signals = {number: signal.signal(number, signal.SIG_IGN) for number in (_IN, _OUT)}
+            self._signals[signal.SIGCONT] = signal.signal(signal.SIGCONT, self._resume)
             self._mode = termios.tcgetattr(self._terminal)
             tty.setcbreak(self._terminal, termios.TCSANOW)
             threading.Thread(target=self._read, name="stop key", daemon=True).start()
@@ -47,6 +48,11 @@ class StopKey:
         termios.tcsetattr(self._terminal, termios.TCSANOW, self._mode)
         for number, handler in self._signals.items():
             signal.signal(number, handler)
+
+    def _resume(self, *_: object) -> None:
+        """Read single keys again: after Ctrl-Z and `fg` a shell has restored its own mode."""
+        if _in_foreground(self._terminal):
+            tty.setcbreak(self._terminal, termios.TCSANOW)
 
     def _read(self) -> None:
         while True:

@@ -1,6 +1,7 @@
 """Emergency stop by a key, on a pseudo-terminal."""
 
 import os
+import signal
 import termios
 import threading
 
@@ -52,6 +53,15 @@ def test_the_terminal_is_restored(terminal):
         assert not termios.tcgetattr(ours)[3] & (termios.ICANON | termios.ECHO)
         assert termios.tcgetattr(ours)[3] & termios.ISIG  # Ctrl-C ends the daemon as ever
     assert termios.tcgetattr(ours) == before
+
+
+def test_the_key_works_again_after_a_suspension(terminal):
+    _, ours = terminal
+    before = termios.tcgetattr(ours)
+    with StopKey(lambda: None, ours):
+        termios.tcsetattr(ours, termios.TCSANOW, before)  # as a shell does after Ctrl-Z
+        os.kill(os.getpid(), signal.SIGCONT)
+        assert not termios.tcgetattr(ours)[3] & termios.ICANON
 
 
 def test_without_a_terminal_no_key_is_read(tmp_path):
