@@ -17,7 +17,6 @@ from softarm.daemon.api.app import create_app
 from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.config.configuration import latch_path
-from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.foxglove.publisher import FoxglovePublisher
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.ros.node import RosNode
@@ -25,6 +24,7 @@ from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.jobs import Jobs
 from softarm.daemon.runtime.loop import ControlLoop, Rehearsal
 from softarm.daemon.runtime.service import Notifier, allow_descriptors
+from softarm.daemon.stop.kept import KeptInbox
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
@@ -95,10 +95,11 @@ class Daemon:
         self.foxglove = foxglove
         if foxglove is not None:
             self.recorder.listener = foxglove.take
-        self.inbox = Inbox()
         self.jobs = Jobs()
         # A robot simulated in this process has no stop to keep.
         self.latch = None if devices.simulated else LatchKeeper(latch_path(config), config.control.realtime_priority)
+        keep = (lambda reason: None) if self.latch is None else self.latch.note
+        self.inbox = KeptInbox(lambda: self.loop.snapshot, keep)
         self.notifier = Notifier()
         runner = trusted.runner(policy, config.failsafe.policy_budget_s)
         controller = Controller(config, runner)
@@ -121,7 +122,6 @@ class Daemon:
             config.control.realtime_priority,
             lambda: self.port,
             sessions,
-            None if self.latch is None else self.latch.note,
         )
         self.ros: RosNode | None = None
         if config.ros.router is not None:
@@ -155,6 +155,7 @@ class Daemon:
         try:
             if self.latch is not None:
                 self.latch.start()
+            self.inbox.start()
             self.recorder.start()
             if self.foxglove is not None:
                 self.foxglove.start()
@@ -173,7 +174,7 @@ class Daemon:
         self._stop_parts(self.loop)
 
     def _stop_parts(self, *first: ControlLoop) -> None:
-        parts = self.jobs, self.latch, self.stop_listener, self.api, self.ros, self.recorder, self.foxglove
+        parts = self.jobs, self.inbox, self.latch, self.stop_listener, self.api, self.ros, self.recorder, self.foxglove
         for part in (*first, *parts):
             try:
                 if part is not None:

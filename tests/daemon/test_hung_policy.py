@@ -12,7 +12,7 @@ from softarm.daemon.config.configuration import latch_path, load
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.devices import real_devices
 from softarm.daemon.stop import latch
-from softarm.daemon.stop.listener import HUNG
+from softarm.daemon.stop.kept import HUNG
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.main import Twin
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop

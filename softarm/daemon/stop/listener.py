@@ -39,7 +39,6 @@ PREFLIGHT = (
     "Access-Control-Max-Age: 600",
 )
 CREDENTIALS = ("Access-Control-Allow-Credentials: true", "Vary: Origin")  # allows the session cookie
-HUNG = "an emergency stop was requested while the control loop did not answer"
 PRIORITY = 2  # of SCHED_FIFO: above the daemon's other threads, below the control loop
 
 
@@ -66,7 +65,6 @@ class StopListener:
         realtime_priority: int = 0,
         pages_at: Callable[[], int] | None = None,
         sessions: Sessions | None = None,
-        keep: Callable[[str], None] | None = None,
     ) -> None:
         """Create a listener that is not bound yet.
 
@@ -77,7 +75,6 @@ class StopListener:
             realtime_priority: Priority of the control loop.
             pages_at: Returns the REST API's port, whose pages may stop as well; `api.port` by default.
             sessions: Log-in sessions of the REST API; on its pages a session cookie replaces the token.
-            keep: Stores the reason of a stop that a hung loop did not carry out, for the next daemon.
 
         Raises:
             AuthError: The tokens cannot be used.
@@ -85,7 +82,6 @@ class StopListener:
         self._config, self._inbox, self._snapshot = config, inbox, snapshot
         self._pages_at = pages_at or (lambda: config.port)
         self._access, self._sessions = AccessControl(config), sessions
-        self._keep = keep or (lambda reason: None)
         self._priority = min(PRIORITY, realtime_priority)
         self._clients: list[_Client] = []  # oldest first
         self._thread: threading.Thread | None = None
@@ -211,7 +207,6 @@ class StopListener:
             elif now_s < client.until_s:
                 continue
             elif client.asked is not None:
-                self._keep(HUNG)
                 self._refuse(client, 503, *unanswered("stop"))
             else:
                 self._close(client)
