@@ -12,7 +12,7 @@ HUNG = "an emergency stop was requested while the control loop did not answer"
 
 
 class KeptInbox(Inbox):
-    """Inbox that keeps a stop for the next daemon if no tick begins within `ANSWER_S`, whoever has requested it."""
+    """Inbox that keeps the stop of any sender for the next daemon if no tick begins within `ANSWER_S`."""
 
     def __init__(self, snapshot: Callable[[], Outputs | None], keep: Callable[[str], object]) -> None:
         """Create an inbox whose thread is not started yet.
@@ -28,11 +28,11 @@ class KeptInbox(Inbox):
         self._thread = threading.Thread(target=self._watch, name="kept stop", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that looks for ticks."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread."""
+        """End the thread that looks for ticks."""
         self._over.set()
         self._asked.set()
 

@@ -1,4 +1,4 @@
-"""A stop that a hung control loop does not carry out is kept for the next daemon, whoever has requested it."""
+"""A stop that a hung control loop does not carry out is kept for the next daemon, from any sender."""
 
 import threading
 import time
