@@ -463,9 +463,7 @@ _MEASURES = {
 def blind_methods(read: Read) -> str:
     """Return the main measures of the diagnosis and of simpler rules on the same robots."""
     methods = read("blind")["methods"]
-    rows = [
-        [title, *(_share(each["measures"][name]) for each in methods.values())] for name, title in _MEASURES.items()
-    ]
+    rows = [[title, *(_share(one["measures"][key]) for one in methods.values())] for key, title in _MEASURES.items()]
     rows.append(["processor seconds a case, median", *(f"{each['seconds_median']:.0f}" for each in methods.values())])
     return markdown((f"{methods['diagnose']['cases']} cases", *methods), rows)
 
