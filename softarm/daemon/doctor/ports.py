@@ -76,7 +76,7 @@ def look_axis(host: str, port: int) -> Axis:
     try:
         families = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
-        return Axis(address, error=getattr(error, "strerror", str(error)))
+        return Axis(address, error=getattr(error, "strerror", None) or str(error))
     if any(is_connected(str(where[0]), port) for *_, where in families):
         return Axis(address, held=True)
     begun_s = time.monotonic()

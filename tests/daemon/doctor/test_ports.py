@@ -140,6 +140,14 @@ def test_an_address_that_cannot_exist_is_reported(host, endpoint, key):
     assert ports.look_axis("a..b", 502).error
 
 
+def test_an_address_error_without_a_text_of_the_system_is_an_error(monkeypatch):
+    def refuse(*_, **__):
+        raise OSError("no resolver")
+
+    monkeypatch.setattr(ports.socket, "getaddrinfo", refuse)
+    assert ports.look_axis("arm.example", 502).error == "no resolver"
+
+
 def test_a_silent_ros_router_does_not_prevent_a_flight():
     assert list(ports.ros_router(Ros())) == []
     with socket.create_server(("127.0.0.1", 0)) as router:
