@@ -4,9 +4,12 @@ A network is trusted by construction: this package runs it, its file was checked
 warm-up steps took a small share of the budget. Every other policy has a thread of its own and may hang there.
 """
 
+import numpy as np
+
 from softarm.policies.base import Policy
 from softarm.policies.hold import Hold
 from softarm.policies.runner import InlineRunner, PolicyRunner, ThreadRunner
+from softarm.schemas.policy import OBSERVATION, REACH_GOAL
 
 SHARE_MAX = 0.1  # of the budget, for a step of a trusted network after loading
 
@@ -33,3 +36,8 @@ def rehearsal(of: PolicyRunner) -> PolicyRunner:
     stand_in = Hold()
     stand_in.spec = of.policy.spec
     return InlineRunner(stand_in)
+
+
+def read_weights(replica: PolicyRunner) -> None:
+    """Run a step of a rehearsal's runner on zeros, which brings the weights of its network into the caches."""
+    replica.step(np.zeros(len(OBSERVATION), np.float32), np.zeros(len(REACH_GOAL), np.float32))

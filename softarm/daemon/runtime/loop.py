@@ -31,17 +31,25 @@ class Rehearsal:
 
     After 30 ms of sleep the caches hold other data, and a tick takes three times as long as in a row. A second
     controller therefore repeats the previous tick. It shares no state with the first, and its outputs are discarded.
+    A tick without a step of the policy is followed by one: a goal would start with a network last read minutes ago.
     """
 
     def __init__(self, config: Config, policy: PolicyRunner) -> None:
-        self._controller: Controller | None = Controller(config, trusted.rehearsal(policy))
+        self._policy = trusted.rehearsal(policy)
+        self._controller: Controller | None = Controller(config, self._policy)
 
     def tick(self, inputs: Inputs, outputs: Outputs, runners: Mapping[int, PolicyRunner]) -> None:
         """Repeat a tick of the first controller. Never raises: after an error there are no more rehearsals."""
         if self._controller is None:
             return
         try:
-            self._controller.tick(inputs, {number: trusted.rehearsal(each) for number, each in runners.items()})
+            replicas = {number: trusted.rehearsal(each) for number, each in runners.items()}
+            rehearsed = self._controller.tick(inputs, replicas)
+            for result in rehearsed.results:
+                if result.accepted and result.number in replicas:
+                    self._policy = replicas[result.number]
+            if rehearsed.action is None:
+                trusted.read_weights(self._policy)
             self._controller.resume(outputs)
         except Exception:
             log.exception("a rehearsal of the control tick failed: ticks take longer from now on")

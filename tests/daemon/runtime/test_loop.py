@@ -244,7 +244,12 @@ class Observed(Rehearsal):
     def __init__(self, policy):
         super().__init__(Config(), policy)
         self.made, repeat = [], self._controller.tick
-        self._controller.tick = lambda *args: self.made.append(repeat(*args))
+
+        def tick(*args):
+            self.made.append(repeat(*args))
+            return self.made[-1]
+
+        self._controller.tick = tick
 
 
 def facts(outputs):
@@ -264,6 +269,21 @@ def test_a_flight_is_the_same_with_and_without_rehearsals():
     assert alone[-1].results[-1].accepted  # of the acknowledgement
     assert facts(alone) == facts(beside)
     assert facts(rehearsals[0].made) == facts(alone)  # all of a tick is rehearsed, its network included
+
+
+def test_every_rehearsal_reads_the_network_of_the_policy_in_use_once(monkeypatch):
+    read, replica = [], OnnxPolicy.replica
+
+    def counted(policy):
+        other = replica(policy)
+        step = other.step
+        other.step = lambda *values: read.append(other.spec.name) or step(*values)
+        return other
+
+    monkeypatch.setattr(OnnxPolicy, "replica", counted)
+    outputs = fly(lambda policy: Rehearsal(Config(), policy))
+    change = next(tick for tick, kind in SCRIPT.items() if kind == "policy")
+    assert read == ["reach"] * change + ["reach-robust"] * (len(outputs) - change)
 
 
 def test_missed_rehearsals_are_made_up_for():
