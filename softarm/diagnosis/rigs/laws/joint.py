@@ -32,8 +32,8 @@ inlined = functools.partial(compiled, forceinline=True)
 KP, KD, LOW, HIGH, WIDTH = range(5)
 # Passive: viscous and quadratic friction, spring and its rest position, constant torque, error of the angle's zero.
 VISCOUS, DRAG, SPRING, REST, OFFSET, BIAS = range(5, 11)
-# Dry friction: sliding, more at rest, the speed at which that has faded, share of the actuator's torque, and the travel
-# over which it bends before it slips.
+# Dry friction: sliding, more at rest, the speed at which that has faded, share of the torque in the gear, and the
+# travel over which it bends before it slips.
 DRY, STICTION, SPEED, LOADED, GIVE = range(11, 16)
 # Play between the joint and its sensor; inertia besides the model's.
 GAP, ARMATURE = range(16, 18)
@@ -41,7 +41,10 @@ GAP, ARMATURE = range(16, 18)
 SOFT, YIELDS = range(18, 20)
 # Times by which the speeds in viscous friction and in the position loop are ahead, s, as in a simulation's long steps.
 AHEAD, LOOP_AHEAD = range(20, 22)
-COLUMNS = 22
+# Friction in the gear: part of its share that belongs to the load, the speed at which it has faded, and whether viscous
+# friction is the motor's own (1 or 0), which then brakes before the gear.
+FROM_LOAD, LOAD_SPEED, BACK_EMF = range(22, 25)
+COLUMNS = 25
 # Damping of friction while it bends, as a share of the root of stiffness times inertia.
 GRIP = 0.1
 # Rows of a path: inertia, load at zero position and speed, its slopes by position and by speed.
@@ -228,9 +231,13 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
     spring, bias, half = load(law, SPRING, lanes), load(law, BIAS, lanes), 0.5 * load(law, GAP, lanes)
     offset = load(law, OFFSET, lanes) + spring * load(law, REST, lanes)
     stiction, yields = load(law, STICTION, lanes), (load(law, SOFT, lanes), load(law, YIELDS, lanes))
+    loaded, from_load = load(law, LOADED, lanes), load(law, FROM_LOAD, lanes)
     ahead, loop_ahead = viscous * load(law, AHEAD, lanes), kd * load(law, LOOP_AHEAD, lanes)
     sticks = some(stiction > 0.0)
     per_speed = 1.0 / select(stiction > 0.0, load(law, SPEED, lanes), 1.0)
+    rubs = some(loaded > 0.0)
+    per_load_speed = 1.0 / select(loaded > 0.0, load(law, LOAD_SPEED, lanes), 1.0)
+    braking = load(law, BACK_EMF, lanes) * viscous
     inertia, weight = load(terms, INERTIA, lanes) + load(law, ARMATURE, lanes), load(terms, LOAD, lanes)
     slope, turning = load(terms, BY_POSITION, lanes), load(terms, BY_SPEED, lanes)
     for j in range(each):
@@ -241,7 +248,13 @@ def _sample(x, seen, v, bend, driven, terms, more, law, h, each, lanes):
         clamped = limited != torque
         damping = rubbing + drag * magnitude(v) + select(clamped, 0.0, kd)
         net = limited + offset - weight - (slope + spring) * (x - bias) - rubbing * v
-        dry = load(law, DRY, lanes) + load(law, LOADED, lanes) * magnitude(limited)
+        dry = load(law, DRY, lanes)
+        if rubs:
+            needed = weight + slope * (x - bias) + turning * v
+            ratio = v * per_load_speed
+            motor = limited - braking * v
+            gear = motor + from_load * (needed - motor)
+            dry = dry + loaded * magnitude(gear) * faded(ratio * ratio)
         if sticks:
             ratio = v * per_speed
             dry = dry + stiction * faded(ratio * ratio)

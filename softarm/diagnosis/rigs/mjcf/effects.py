@@ -30,6 +30,8 @@ LOST = 2.0
 GIVE_RAD, GIVE_SHARE = 1e-3, 1e-3
 # Largest speed at which friction at rest fades, as a share of the fastest motion; one that fades later is dry friction.
 CREEP = 0.3
+# The same of friction in a gear: at this one it is practically constant.
+CONSTANT = 5.0
 _FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
 
 # Pairs that are easily mistaken for each other, and the motion that separates them.
@@ -271,9 +273,13 @@ def _friction(s: JointScales) -> Iterator[Effect]:
     if s.driven:
         yield Effect(
             "load_friction",
-            (strength("share", "-", 0.0, 0.0, 0.9, 0.1, "of the actuator's torque"),),
-            "dry friction grows with the torque that a gear transmits",
-            "Duclusaud et al. 2024, Extended friction models for the physics simulation of servo actuators",
+            (
+                strength("share", "-", 0.0, 0.0, 0.9, 0.1, "of the torque that holds the joint"),
+                shape("from_load", "-", 0.5, 0.0, 1.0, 0.5, "part that belongs to the load, not to the actuator"),
+                shape("speed", f"{s.length}/s", s.speed, 0.05 * s.speed, CONSTANT * s.speed, s.speed, "37 % remain"),
+            ),
+            "dry friction grows with the torques on both sides of a gear, and may fade with the speed (Stribeck)",
+            "Duclusaud et al. 2024, Extended friction models for the physics simulation of servo actuators, M3 to M5",
             plain="the friction of {stage} grows by {share} of its torque",
         )
     yield from _of_speed(s)

@@ -59,6 +59,11 @@ class Joint:
         return self.actuator is not None and self.actuator.kp > 0
 
     @property
+    def back_emf(self) -> bool:
+        """Return whether the damping is its motor's: that of a position loop without a derivative part."""
+        return self.actuator is not None and self.actuator.kp > 0 and self.actuator.kd == 0
+
+    @property
     def friction(self) -> float:
         """Return the dry friction of the joint and its followers."""
         return self.dry + self.followers_dry

@@ -30,6 +30,8 @@ _FIELDS = {
     "stiction.torque": "stiction",
     "stiction.speed": "stiction_speed",
     "load_friction.share": "load_share",
+    "load_friction.from_load": "load_part",
+    "load_friction.speed": "load_speed",
     "backlash.gap": "backlash",
     "sensor_bias.bias": "sensor_bias",
 }
@@ -50,8 +52,20 @@ class Parameters(NamedTuple):
     stiction: Any = 0.0
     stiction_speed: Any = 1.0
     load_share: Any = 0.0
+    load_part: Any = 0.0
+    load_speed: Any = np.inf
     backlash: Any = 0.0
     sensor_bias: Any = 0.0
+
+
+class Motion(NamedTuple):
+    """Motion and torques of the joints, [..., J] each."""
+
+    position: Any
+    speed: Any
+    # Of the actuator: `qfrc_actuator`, or `actuator_force` times `gear` of a joint that others follow by an equality.
+    torque: Any
+    load: Any  # `qfrc_bias`
 
 
 class State(NamedTuple):
@@ -83,6 +97,7 @@ class RuntimeEffects:
     gear: Array  # [J], 1 without an actuator
     loop: NDArray[np.bool_]  # [J], whether the actuator is a position loop
     dry: Array  # [J], dry friction of the model
+    back_emf: Array  # [J], damping of the model that is the motor's own
 
     @classmethod
     def read(cls, verdict: Path, model: Path, *, calibration: bool = True, best_fit: bool = False) -> "RuntimeEffects":
@@ -135,6 +150,7 @@ class RuntimeEffects:
             np.array([joint.actuator.gear if joint.actuator else 1.0 for joint in joints]),
             np.array([joint.follows for joint in joints]),
             np.array([joint.dry for joint in joints]),
+            np.array([joint.viscous if joint.back_emf else 0.0 for joint in joints]),
         )
 
     def drawn(self, random: np.random.Generator, batch: int) -> "RuntimeEffects":
@@ -152,17 +168,16 @@ class RuntimeEffects:
         sent, read = (xp.repeat(x[..., None, :], self.depth, axis=-2) for x in (ctrl, reading))
         return State(sent, ctrl, reading, read)
 
-    def apply(self, state: State, ctrl: Any, motion: tuple[Any, Any, Any], xp: Any = np) -> tuple[State, Applied]:
+    def apply(self, state: State, ctrl: Any, motion: Motion, xp: Any = np) -> tuple[State, Applied]:
         """Return the next state and the inputs of MuJoCo's next step.
 
         Args:
             state: state before the step.
             ctrl: commands of the policy, [..., J]; any number for a joint without an actuator.
-            motion: position, speed and torque of the actuator of each joint, [..., J] each. The torque is
-                `qfrc_actuator`, or `actuator_force` times `gear` of a joint that others follow by an equality.
+            motion: motion and torques of the joints before the step.
             xp: numpy or jax.numpy.
         """
-        p, gear, loop, (position, speed, torque) = self.parameters, self.gear, self.loop, motion
+        p, gear, loop, (position, speed, torque, load) = self.parameters, self.gear, self.loop, motion
         sent = _pushed(state.sent, ctrl, xp)
         most = p.rate_per_s * self.step_s
         limited = state.limited + xp.clip(self._late(sent, p.dead_time_s, xp) - state.limited, -most, most)
@@ -170,7 +185,9 @@ class RuntimeEffects:
         wanted = limited + p.command_bias - xp.where(loop, gear * p.sensor_bias, 0.0)
         width = np.abs(gear) * p.deadband
         wanted = wanted - xp.where(loop, xp.clip(wanted - gear * position, -width, width), 0.0)
-        dry = self.dry + p.load_share * xp.abs(torque)
+        motor = torque - self.back_emf * speed
+        loaded = p.load_share * xp.abs(motor + p.load_part * (load - motor))
+        dry = self.dry + loaded * xp.exp(-((speed / p.load_speed) ** 2))
         dry = dry + p.stiction * xp.exp(-((speed / p.stiction_speed) ** 2))
         force = p.torque_offset - p.drag * xp.abs(speed) * speed
         return state._replace(sent=sent, limited=limited), Applied(wanted, force, dry)
@@ -225,7 +242,7 @@ class Simulation:
         commands[self._driven] = ctrl[self._ctrl]
         torque = data.qfrc_actuator[dof]
         torque[self._leading] = data.actuator_force[self._leading_ctrl] * self._effects.gear[self._leading]
-        motion = data.qpos[self._position], data.qvel[dof], torque
+        motion = Motion(data.qpos[self._position], data.qvel[dof], torque, data.qfrc_bias[dof])
         self._state, applied = self._effects.apply(self._state, commands, motion)
         data.ctrl[:] = ctrl
         data.ctrl[self._ctrl] = applied.ctrl[self._driven]

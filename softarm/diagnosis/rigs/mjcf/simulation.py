@@ -33,6 +33,8 @@ _COLUMNS = {
     "stiction.torque": laws.STICTION,
     "stiction.speed": laws.SPEED,
     "load_friction.share": laws.LOADED,
+    "load_friction.from_load": laws.FROM_LOAD,
+    "load_friction.speed": laws.LOAD_SPEED,
     "damping.viscous": laws.VISCOUS,
     "drag.coefficient": laws.DRAG,
     "spring.stiffness": laws.SPRING,
@@ -158,6 +160,7 @@ class JointSimulation:
         for path, column in _COLUMNS.items():
             law[column] = at.get(path, 0.0)
         law[laws.ARMATURE] = at["armature.inertia"] - joint.armature
+        law[laws.BACK_EMF] = joint.back_emf
         if at[STEPPED]:
             law[laws.AHEAD], law[laws.LOOP_AHEAD] = self._steps.damping_s, self._steps.loop_s
         if at[CREEP]:

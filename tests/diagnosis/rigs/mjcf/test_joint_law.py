@@ -28,7 +28,7 @@ SERVO = """
 def law(**values):
     """Return the parameters of a law, without limits and friction unless given."""
     found = np.zeros(laws.COLUMNS)
-    found[laws.LOW], found[laws.HIGH], found[laws.SPEED] = -np.inf, np.inf, 1.0
+    found[laws.LOW], found[laws.HIGH], found[laws.SPEED], found[laws.LOAD_SPEED] = -np.inf, np.inf, 1.0, 1.0
     for name, value in values.items():
         found[getattr(laws, name)] = value
     return found
@@ -173,3 +173,22 @@ def test_a_simulation_that_diverges_is_far_from_every_sample():
     found = travelled(law(SPRING=-1e6), np.full(3000, 1.0))
     assert np.abs(found[-1]) == laws.FAR
     assert np.isfinite(found).all()
+
+
+def falls(share, part, speed=100.0):
+    """Return the fall of a joint within 0.2 s whose motor lifts 0.9 N m of a weight of 1 N m."""
+    path = np.zeros((laws.ROWS, 200))
+    path[laws.INERTIA], path[laws.LOAD] = 1.0, 1.0
+    friction = law(LOADED=share, FROM_LOAD=part, LOAD_SPEED=speed)
+    return -travelled(friction, np.full(200, 0.9), path)[-1]
+
+
+@pytest.mark.parametrize(("part", "gear_torque"), [(0.0, 0.9), (0.5, 0.95), (1.0, 1.0)])
+def test_friction_in_a_gear_holds_a_share_of_the_torque_of_each_side(part, gear_torque):
+    enough = 0.1 / gear_torque
+    assert falls(1.01 * enough, part) == pytest.approx(0.0, abs=1e-12)
+    assert falls(0.5 * enough, part) == pytest.approx(0.5 * falls(0.0, part), rel=1e-6)
+
+
+def test_friction_in_a_gear_fades_with_the_speed():
+    assert falls(0.05, 0.5) < falls(0.05, 0.5, speed=5e-3) < falls(0.0, 0.5)

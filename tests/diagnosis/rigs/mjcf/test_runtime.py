@@ -6,7 +6,7 @@ import pytest
 
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
-from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
+from softarm.diagnosis.rigs.mjcf.runtime import Motion, RuntimeEffects, Simulation
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO, H, law, of_mujoco, travelled
 from tests.diagnosis.verdicts import effect, verdict, with_parameters
 from validation.mechanisms.record import ROBOTS
@@ -46,7 +46,16 @@ def flown(effects, path):
         ("torque_offset", {"torque": 0.3}, {"OFFSET": 0.3}),
         ("drag", {"coefficient": 0.05}, {"DRAG": 0.05}),
         ("stiction", {"torque": 0.3, "speed": 0.3}, {"STICTION": 0.3, "SPEED": 0.3}),
-        ("load_friction", {"share": 0.1}, {"LOADED": 0.1}),
+        (
+            "load_friction",
+            {"share": 0.3, "from_load": 0.0, "speed": 20.0},
+            {"LOADED": 0.3, "FROM_LOAD": 0.0, "LOAD_SPEED": 20.0},
+        ),
+        (
+            "load_friction",
+            {"share": 0.5, "from_load": 1.0, "speed": 1.5},
+            {"LOADED": 0.5, "FROM_LOAD": 1.0, "LOAD_SPEED": 1.5},
+        ),
         ("backlash", {"gap": 0.05}, {"GAP": 0.05}),
         ("sensor_bias", {"bias": 0.1}, {"BIAS": 0.1}),
     ],
@@ -66,6 +75,22 @@ def test_mujoco_moves_as_the_fitted_law(tmp_path, name, sizes, same):
     assert np.abs(seen - expected).max() < 0.1 * np.abs(expected - without).max()
 
 
+def test_the_damping_of_a_loop_without_a_derivative_part_brakes_before_the_gear(tmp_path):
+    sizes = {"share": 0.5, "from_load": 0.5, "speed": 20.0}
+    text = SERVO.format(damping=1.5, dry=0.02, kp=20, limit=10).replace('kv="0.3"', 'kv="0"')
+    file, model = written(tmp_path, text, exact("elbow.load_friction", **sizes))
+    true, speed, _ = flown(RuntimeEffects.read(file, model), model)
+    robot = Mechanism(model)
+    joint = robot.joint("elbow")
+    path = robot.terms(joint, robot.course(joint, {"elbow": (true, speed, np.zeros(STEPS))}))
+    drive, known = joint.actuator.scale * COMMAND, of_mujoco(robot, joint)
+    same = {"LOADED": 0.5, "FROM_LOAD": 0.5, "LOAD_SPEED": 20.0}
+    after = travelled(law(**known, **same), drive, path)
+    before = travelled(law(**known, **same, BACK_EMF=1.0), drive, path)
+    assert joint.back_emf
+    assert np.abs(true - before).max() < 0.1 * np.abs(after - before).max()
+
+
 def test_commands_and_readings_are_late_by_the_delays(tmp_path):
     text = SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10)
     _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, text)), tmp_path / "servo.xml")
@@ -80,7 +105,7 @@ def test_a_command_changes_no_faster_than_its_limit(tmp_path):
     effects = RuntimeEffects.read(*written(tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), slow))
     state, sent = effects.start(np.zeros(1), np.zeros(1)), []
     for _ in range(100):
-        state, applied = effects.apply(state, np.ones(1), (np.zeros(1), np.zeros(1), np.zeros(1)))
+        state, applied = effects.apply(state, np.ones(1), Motion(*(np.zeros(1),) * 4))
         sent.append(applied.ctrl[0])
     assert np.diff(sent) == pytest.approx(0.5 * H)
 
@@ -94,7 +119,7 @@ def test_a_batch_of_robots_is_drawn_within_the_intervals(tmp_path):
     assert 0.04 <= width.min() < 0.042
     assert 0.058 < width.max() <= 0.06
     state = many.start(np.zeros((500, 1)), np.zeros((500, 1)))
-    motion = (np.zeros((500, 1)),) * 3
+    motion = Motion(*(np.zeros((500, 1)),) * 4)
     _, applied = many.apply(state, np.full((500, 1), 0.05), motion)
     assert applied.ctrl == pytest.approx(np.maximum(0.05 - width, 0.0))
     for k in range(20):
