@@ -118,6 +118,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "planning": (*_PLANNING, "benchmarks/planning.py"),
     "real": (*_ENGINE, "softarm/diagnosis/rigs", *_REAL_ARM),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
+    "servos": (*_ENGINE, "softarm/diagnosis/rigs", "validation/servos"),
     "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
     "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
     "training": (*_TRAINING, "benchmarks/training.py"),

@@ -1,11 +1,11 @@
 """Tables of the pages, from stored results to Markdown, with targets and the paper's figures next to them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import groupby
 from typing import Any
 
-import numpy as np
-
+from benchmarks.diagnosis_tables import blind, blind_methods, real_arm, servos, servos_held_out
+from benchmarks.markdown import Read, markdown
 from softarm.evaluation import faults as worst
 from softarm.evaluation.closing.outcomes import TITLES
 from softarm.evaluation.entries import CEILING
@@ -15,22 +15,7 @@ from softarm.training.trajectory import ceiling as needed
 
 NEAR = 0.03  # distance of a success to the level without the fault, at most, that counts as back
 _SPREAD = "{p50:.0f} / {p99:.0f} / {max:.0f}"
-Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.evaluation.table.Figure
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table with a head and rows. Raises ValueError for a row that does not fit the head."""
-    lines = [_line(head), "|" + "---|" * len(head)]
-    for row in rows:
-        if len(row) != len(head):
-            raise ValueError(f"a row of {len(row)} cells in a table of {len(head)} columns: {row}")
-        lines.append(_line(row))
-    return "\n".join(lines) + "\n"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
 def _percent(share: float, digits: int = 1) -> str:
@@ -376,26 +361,6 @@ def replanning(read: Read) -> str:
     return markdown(("flights", "reached", "wall time (ms)", "processor time (ms)", "rounds"), rows)
 
 
-def real_arm(read: Read) -> str:
-    """Return the errors of all models on held-out recordings of a real arm, mrad, and the times of the fits."""
-    found = read("real-arm")["held_out"]
-    models = {
-        "public": "public model",
-        "sysid": "mujoco.sysid",
-        "pace": "PACE",
-        "pace_gains": "PACE, with gains",
-        "diagnosis": "diagnosis",
-    }
-    joints = list(next(iter(found.values()))["public_rad"])
-    rows = []
-    for name, row in found.items():
-        for model, label in models.items():
-            errors = [1000 * row[f"{model}_rad"][joint] for joint in joints]
-            seconds = f"{row[f'{model}_s']['processor']:.0f}" if model != "public" else "-"
-            rows.append((name, label, *(f"{error:.0f}" for error in (*errors, np.mean(errors))), seconds))
-    return markdown(("held-out recording", "fit", *joints, "mean", "processor time (s)"), rows)
-
-
 def closing(read: Read) -> str:
     """Each fault of the independent robot: percent and stops of each way, and whether one returns to the level."""
     found, rows = read("closing"), []
@@ -420,56 +385,6 @@ def _reached(way: Mapping[str, Any]) -> float:
 
 def _stops(way: Mapping[str, Any]) -> int:
     return sum(sum(way[manner]["stops"].values()) for manner in ("rest", "swinging"))
-
-
-def blind(read: Read) -> str:
-    """Return the rates of the blind benchmark next to the targets."""
-    found = read("blind")["methods"]["diagnose"]
-    cells = {**found["measures"], **found["coverage"]}
-    aims = {
-        "right in all parts": ("right in all", ""),
-        "right stage": ("right stage", "98 %"),
-        "a single effect named exactly": ("single, exact", "97 %"),
-        "both of two effects": ("two, exact", "90 %"),
-        "the same, alone or in a set of two": ("two, exact or in sets of two", ""),
-        "all of three effects": ("three, exact", "60 %"),
-        "an unknown effect given a name": ("unknown, given a name", "2 %"),
-        "the same, as the whole answer": ("unknown, given a name as the whole answer", ""),
-        "an unknown effect said to be one": ("unknown, said so", "85 %"),
-        "a name when nothing is wrong": ("none, given a name", "1 %"),
-        "95 % intervals of a size hold the true one": ("size", "90 to 97 %"),
-        "95 % intervals of the shrink hold fresh data, stage": ("stage", "92 to 98 %"),
-        "the same, chain": ("chain", "92 to 98 %"),
-    }
-    rows = [[title, _share(cells[key]), aim] for title, (key, aim) in aims.items()]
-    seconds = f"{found['seconds_median']:.0f} s, {found['seconds_worst']:.0f} s"
-    rows.append(["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"])
-    rows.append(["processor time of eight trials, median and worst", seconds, "8 s, 40 s"])
-    return markdown(("", "reached", "aim"), rows)
-
-
-_MEASURES = {
-    "right in all": "right in all parts",
-    "right stage": "right stage",
-    "single, exact": "one effect, exact",
-    "two, exact": "two effects, exact",
-    "three, exact": "three effects, exact",
-    "known, a wrong name beside": "known cause, also a wrong name",
-    "unknown, given a name": "unknown cause, given a name",
-    "none, given a name": "healthy robot, given a name",
-}
-
-
-def blind_methods(read: Read) -> str:
-    """Return the main measures of the diagnosis and of simpler rules on the same robots."""
-    methods = read("blind")["methods"]
-    rows = [[title, *(_share(one["measures"][key]) for one in methods.values())] for key, title in _MEASURES.items()]
-    rows.append(["processor seconds a case, median", *(f"{each['seconds_median']:.0f}" for each in methods.values())])
-    return markdown((f"{methods['diagnose']['cases']} cases", *methods), rows)
-
-
-def _share(found: Mapping[str, Any]) -> str:
-    return f"{100 * found['share']:.0f} % ({found['hits']} of {found['of']})"
 
 
 TABLES: dict[str, Callable[[Read], str]] = {
@@ -497,4 +412,6 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "replanning": replanning,
     "blind": blind,
     "blind-methods": blind_methods,
+    "servos": servos,
+    "servos-held-out": servos_held_out,
 }
