@@ -1,4 +1,4 @@
-"""Friction in the gear of a servo as in model M3 of Duclusaud et al. 2024: a share of the difference of both torques."""
+"""Friction in a servo's gear, model M3 of Duclusaud et al. 2024: a share of the difference of both torques."""
 
 import numpy as np
 
