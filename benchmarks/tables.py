@@ -92,17 +92,16 @@ def all_tests(read: Read) -> str:
 
 
 def time_to_level(read: Read) -> str:
-    """Return the time of each seed to the paper's level."""
-    found = read("training")
-    seconds, frames = found["seconds_to_seed_level"], found["frames_to_seed_level"]
+    """Return the time of each seed to the paper's level, with the paper's network and a small one."""
+    networks, rows = {"training": ("384,197 weights", "20"), "training-small": ("15,581 weights", "8")}, []
+    for name, (network, aim) in networks.items():
+        found = read(name)
+        seconds, frames = found["seconds_to_seed_level"], found["frames_to_seed_level"]
+        times = ("never" if value is None else f"{value:.0f}" for value in seconds)
+        rows.append([f"{network}: seconds", *times, f"{aim} for four of five"])
+        rows.append(["million frames", *("" if value is None else f"{value / 1e6:.1f}" for value in frames), ""])
     head = ("", *(f"seed {k}" if k == 1 else str(k) for k in range(1, 1 + len(seconds))), "aim")
-    return markdown(
-        head,
-        [
-            ["seconds", *("never" if value is None else f"{value:.0f}" for value in seconds), "60 for four of five"],
-            ["million frames", *("" if value is None else f"{value / 1e6:.1f}" for value in frames), ""],
-        ],
-    )
+    return markdown(head, rows)
 
 
 def faults(read: Read) -> str:
