@@ -91,7 +91,7 @@ _FRICTION = {
 def servos(read: Read) -> str:
     """Return how often the friction of simulated servos is named, by its law."""
     found = read("servos")["outcomes"]
-    heads = ("right", "more", "silent", "wrong")
+    heads = ("right", "more", "silent", "wrong", "failed")
     rows = [(_FRICTION[law], *(str(counts.get(head, 0)) for head in heads)) for law, counts in found.items()]
     return markdown(("friction", *heads), rows)
 

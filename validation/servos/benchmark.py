@@ -35,6 +35,7 @@ from validation.rigs.benchmark import answered, run
 
 HELD_OUT = "sin_sin-100"
 FITTED = "m1", "m6"  # the model that MJCF holds, and the most general one
+MODELS = "nominal", *FITTED, "diagnosis"  # compared on the held-out motion
 STAGE = """kind: mujoco
 name: servo
 channels:
@@ -173,7 +174,7 @@ def score(folder: Path) -> dict[str, Any]:
     return {
         "outcomes": {law: dict(counts) for law, counts in found.items()},
         "shares": {truth["case"]: share for truth, reply in cases if (share := _share(truth, reply)) is not None},
-        "held_out": {name: {key: each[key] for key in each.keys() - {"key"}} for name, each in compared.items()},
+        "held_out": {name: {model: each[model] for model in MODELS} for name, each in compared.items()},
         "processor_s": sorted(reply["seconds"] for _, reply in cases),
     }
 

@@ -1,5 +1,7 @@
 """Benchmark of servos that another program simulates: outcomes and messages; that program is not needed."""
 
+import json
+
 import pytest
 
 from softarm.diagnosis.data.trials import TrialError
@@ -31,3 +33,21 @@ def test_the_outcome_compares_names_with_the_friction_that_was_simulated(law, fo
 def test_a_python_without_bam_is_refused_with_a_remedy(tmp_path):
     with pytest.raises(TrialError, match=r"cannot run recorder.py .*give a Python 3.12 with better-actuator-models"):
         benchmark.make(tmp_path, tmp_path / "no-such-python")
+
+
+def test_a_score_holds_every_case_also_one_that_failed(tmp_path):
+    replies = {"a-m1": verdict("none"), "b-m2": None}
+    for case, found in replies.items():
+        for folder, content in (
+            ("truths", {"case": case, "law": case[-2:]}),
+            ("answers", {"verdict": found, "seconds": 1.0}),
+            ("compared", {"tool": "of the kept file", **{model: {"rms_rad": 0.1} for model in benchmark.MODELS}}),
+        ):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            (tmp_path / folder / f"{case}.json").write_text(json.dumps(content))
+    found = benchmark.score(tmp_path)
+    assert {law: counts for law, counts in found["outcomes"].items() if counts} == {
+        "m1": {"right": 1},
+        "m2": {"failed": 1},
+    }
+    assert [list(each) for each in found["held_out"].values()] == [list(benchmark.MODELS)] * 2
