@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import like, of_stage
+from softarm.diagnosis.rigs.effects import backlash, latency, like, of_stage
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
 # Share of the usual force: a friction that matters.
@@ -178,18 +178,8 @@ def _sensor(s: DrivenMassScales) -> Iterator[Effect]:
         "standard mechanics (two masses and a spring)",
         plain="a spring between drive and load of {stage} swings at {frequency}",
     )
-    yield like(
-        "rail.backlash",
-        "play at reversals: the drive crosses the gap before the load follows",
-        "{stage} has {gap} of play",
-        strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),
-    )
-    yield like(
-        "mocap.latency",
-        "readings are older than their stamps state",
-        "the readings of {stage} are {delay} older than their stamps",
-        _delay("age of a reading beyond its stamp", s),
-    )
+    yield backlash(strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"))
+    yield latency(_delay("age of a reading beyond its stamp", s))
     most = 0.2 * s.speed
     yield like(
         "pressure.sensor_bias",

@@ -14,15 +14,16 @@ from softarm.simulator.effects import REGISTRY
 def of_stage(stage: str, effects: Iterable[Effect], rivals: Iterable[tuple[str, str, str]]) -> tuple[Effect, ...]:
     """Return effects under a stage's name ('gain' -> 'axis.gain'), with the experiments that separate them.
 
-    A rival is two names and "motion: what it shows"; pairs of which an effect is missing are skipped.
+    A rival is an effect, one or more others and "motion: what it shows"; pairs with a missing effect are skipped.
     """
+    pairs = [(one, other, experiment) for one, others, experiment in rivals for other in others.split()]
     return tuple(
         replace(
             effect,
             name=f"{stage}.{effect.name}",
             separated_by={f"{stage}.{rival}": experiment for rival, experiment in effect.separated_by.items()},
         )
-        for effect in with_rivals(effects, rivals)
+        for effect in with_rivals(effects, pairs)
     )
 
 
@@ -37,3 +38,15 @@ def like(registered: str, meaning: str, plain: str, *parameters: Parameter, name
         name: name of the effect; by default the second part of `registered`.
     """
     return Effect(name or registered.partition(".")[2], parameters, meaning, REGISTRY[registered].source, plain=plain)
+
+
+def backlash(gap: Parameter) -> Effect:
+    """Return the effect of play between a drive and its load."""
+    meaning = "play at reversals: the drive crosses the gap before the load follows"
+    return like("rail.backlash", meaning, "{stage} has {gap} of play", gap)
+
+
+def latency(delay: Parameter) -> Effect:
+    """Return the effect of readings that are older than their stamps."""
+    plain = "the readings of {stage} are {delay} older than their stamps"
+    return like("mocap.latency", "readings are older than their stamps state", plain, delay)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from softarm.diagnosis.rigs.effects import like, of_stage
+from softarm.diagnosis.rigs.effects import backlash, latency, like, of_stage
 from softarm.diagnosis.rigs.scales import LATEST, SIGMAS, SURE, TrackingScales
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
@@ -16,9 +16,8 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
         "latency",
         "the same motion with a second sensor: its stamps separate the two, one shows only their sum",
     ),
-    ("gain", "ceiling", "an amplitude sweep: a ceiling leaves low commands alone"),
+    ("ceiling", "gain deadband", "an amplitude sweep: a ceiling leaves low commands alone"),
     ("gain", "sensor_bias", "a second sensor, or a known zero: a wrong reading stays when the motion itself is right"),
-    ("ceiling", "deadband", "an amplitude sweep: a ceiling leaves low commands alone"),
     ("deadband", "backlash", "reversals under load: play shuts, a friction's dead zone stays"),
     ("deadband", "lag", "a slow ramp: a lag's error shrinks with its slope, a dead zone's stays"),
     ("lag", "sensor_bias", "long holds at several levels: a lag's error fades, a wrong zero stays"),
@@ -122,12 +121,7 @@ def _mechanics(unit: str, s: TrackingScales) -> Iterator[Effect]:
         "Franklin, Powell and Emami-Naeini, Feedback Control",
         plain="{stage} swings at {frequency} when it follows",
     )
-    yield like(
-        "rail.backlash",
-        "play at reversals: the drive crosses the gap before the load follows",
-        "{stage} has {gap} of play",
-        _width("gap", unit, s, "free travel between the flanks"),
-    )
+    yield backlash(_width("gap", unit, s, "free travel between the flanks"))
     yield like(
         "arm.hysteresis",
         "a loop between command and end, as wide at any speed (Bouc-Wen): soft material, no free travel",
@@ -150,12 +144,7 @@ def _readings(unit: str, s: TrackingScales) -> Iterator[Effect]:
         "the sensor of {stage} reads {bias} off",
         strength("bias", unit, 0.0, -s.reach, s.reach, s.share, "reading minus true value"),
     )
-    yield like(
-        "mocap.latency",
-        "readings are older than their stamps state",
-        "the readings of {stage} are {delay} older than their stamps",
-        _delay("age of a reading beyond its stamp", s),
-    )
+    yield latency(_delay("age of a reading beyond its stamp", s))
 
 
 def _delay(meaning: str, s: TrackingScales, name: str = "delay") -> Parameter:

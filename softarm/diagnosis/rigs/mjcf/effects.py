@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import like, of_stage
+from softarm.diagnosis.rigs.effects import latency, like, of_stage
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
@@ -39,8 +39,7 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("armature", "gain", "hold still at several angles: a gain changes the torque there, an inertia does not"),
     ("armature", "mass", "hold still at several angles: only the weight shows there"),
     ("length", "armature", "hold still at several angles: a longer link weighs more there"),
-    ("length", "mass", "measure the link, or swing the next joint alone: its pull grows with the length"),
-    ("length", "payload", "measure the link, or swing the next joint alone: its pull grows with the length"),
+    ("length", "mass payload", "measure the link, or swing the next joint alone: its pull grows with the length"),
     ("mass", "payload", "hold still at several angles: a payload's arm is longer"),
     ("gain", "mass", "swing without torque, or another known mass: only one of them changes then"),
     ("coulomb_friction", "damping", "free decay: the swing falls linearly with dry friction"),
@@ -56,15 +55,10 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("rate_limit", "lag", "steps of several sizes: the time grows with the step only for a limit"),
     ("gain", "position_gain", "fast and slow motion: a gain changes the loop's damping as well"),
     ("ceiling", "gain", "an amplitude sweep: a limit leaves small torques alone"),
-    ("spring", "payload", "hold still at several angles: a spring's torque is linear in the angle"),
-    ("spring", "mass", "hold still at several angles: a spring's torque is linear in the angle"),
+    ("spring", "payload mass", "hold still at several angles: a spring's torque is linear in the angle"),
     ("command_bias", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
     ("torque_offset", "sensor_bias", "hold still at several angles: a wrong zero changes the weight's torque"),
-    ("tilt", "sensor_bias", "put a spirit level on the base"),
-    ("tilt", "command_bias", "put a spirit level on the base"),
-    ("tilt", "torque_offset", "put a spirit level on the base"),
-    ("tilt", "spring", "put a spirit level on the base"),
-    ("tilt", "payload", "put a spirit level on the base"),
+    ("tilt", "sensor_bias command_bias torque_offset spring payload", "put a spirit level on the base"),
 )
 
 
@@ -389,9 +383,5 @@ def _sensor(s: JointScales) -> Iterator[Effect]:
         )
     if s.driven:
         late = min(0.5 * s.period_s, 100 * s.step_s)
-        yield like(
-            "mocap.latency",
-            "readings are older than their stamps state",
-            "the readings of {stage} are {delay} older than their stamps",
-            strength("delay", "s", 0.0, -0.5 * s.step_s, late, min(2 * s.step_s, 0.5 * late), "beyond its stamp"),
-        )
+        usual = min(2 * s.step_s, 0.5 * late)
+        yield latency(strength("delay", "s", 0.0, -0.5 * s.step_s, late, usual, "beyond its stamp"))
