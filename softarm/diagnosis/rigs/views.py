@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
-from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.rigs.owner_units import owners
 from softarm.schemas.verdict import Interval
@@ -57,8 +57,8 @@ def given_values(about: TableStage, effects: Sequence[Effect]) -> dict[str, floa
     return found
 
 
-class RigView:
-    """View of one stage of a rig; implements `softarm.diagnosis.engine.view.View`.
+class RigView(View):
+    """View of one stage of a rig.
 
     Attributes:
         block_s: length of a stretch of data that counts as independent of its neighbours, s.
@@ -100,6 +100,7 @@ class RigView:
     laws: Sequence[Mapping[str, float]] = ()
     driven_by: frozenset[str] = frozenset()
     assumptions: tuple[str, ...] = ()
+    features: Mapping[str, Array] = {}
     _each = 1  # integration steps per sample
     _known: dict[str, float]
 
@@ -132,7 +133,7 @@ class RigView:
         self.noise: Array = np.zeros(len(channels))
         local = [(e.name.rpartition(".")[2], n.name) for e in self.vocabulary for n in e.parameters]
         self.acts = frozenset(f"{owner}.{e}.{n}" for e, n in local for owner in self._owners(e))
-        self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
+        self.features = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
 
     @classmethod
     def windows(cls, trial: Trial) -> tuple[Trial, ...]:
@@ -210,10 +211,11 @@ class RigView:
     def measure_noise(self) -> None:
         """Measure noise floor and usable samples again, next to another law of the nominal model."""
 
-    def adopt(self, assumed: Mapping[str, float]) -> None:
-        """Assume the settled values of another view of the stage, and measure the noise next to these."""
+    def adopt(self, assumed: Mapping[str, float]) -> Self:
+        """Assume the settled values of another view of the stage, measure the noise next to these, and return self."""
         self.assume_all(assumed)
         self.measure_noise()
+        return self
 
     @property
     def assumed(self) -> Mapping[str, float]:
@@ -258,14 +260,6 @@ class RigView:
     def own_nuisances(self) -> Mapping[str, float]:
         """Nuisances of this view alone: name -> share of its own value at the edge of its box."""
         return {}
-
-    def own_directions(self) -> NDArray[np.float32]:
-        """Return how the gap changes with each own nuisance up to the edge of its box, [q, M, S]."""
-        return np.empty((0, *self.measured.shape), np.float32)
-
-    def start_directions(self) -> NDArray[np.float32] | None:
-        """Return how the gap changes with the start of each trial, [d, M, S]; None if starts are measured."""
-        return None
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """Return measured minus predicted values at each of P points, [P, M, S]; NaN where no sample was measured."""

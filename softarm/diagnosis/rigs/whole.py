@@ -5,7 +5,7 @@ separate them: a search over all stages at once compares one common effect with 
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from softarm.diagnosis.answer.assembly import share
@@ -54,12 +54,16 @@ def judged(
     loaded = _loaded(found)
     if not loaded:
         return []
-    made = {
-        stage: _made(own[stage], found[stage]) for stage in sorted({s for stages in loaded.values() for s in stages})
-    }
+    made = dict[str, tuple[RigView, Stretches]]()
+    for stage in sorted({s for stages in loaded.values() for s in stages}):
+        view, windows = view_of(own[stage])
+        made[stage] = view.adopt(found[stage].assumed), windows
     try:
         joint, common = _searched(made, loaded, found, budget_s)
-        sized = _sized(joint, {each.name for each in common.values()})
+        chosen = joint.choice.chosen
+        # Nuisances act otherwise beside a common effect.
+        plain = {each.name for each in common.values()}.isdisjoint(chosen.names)
+        sized = joint if plain else joint.on(joint.setup.beside(chosen))
     except TrialError:  # a joint stands still in the most informative stretches: each keeps its own finding
         return []
     judgements = (
@@ -116,13 +120,6 @@ def _speaks(finding: Finding, effect: str) -> bool:
     return bool(_sizes(finding, effect)) and (shows or few or not finding.is_unexplained)
 
 
-def _made(trials: Sequence[Trial], finding: Finding) -> tuple[RigView, Stretches]:
-    """Return the view of all data of a stage, with the settled values of its finding, and its windows."""
-    view, windows = view_of(trials)
-    view.adopt(finding.assumed)
-    return view, windows
-
-
 def _names(finding: Finding) -> Iterator[str]:
     """Yield the named effects of a stage and those that its recordings cannot separate from them."""
     for effect in finding.named:
@@ -144,23 +141,19 @@ def _searched(
     judged = {f"{stage}.{effect}" for (effect, _), stages in loaded.items() for stage in stages}
     # The mass behind a joint that moves one body is the mass of that body.
     judged |= {f"{v.stage}.mass" for v in views if len(v.together) == 1 and v.together[0].name in judged}
-    rivals = [c for view in views for c in _rivals(view, found[view.stage]) if c.name not in judged]
-    known = (*common.values(), *rivals)
-    planned_s = work.backward(len(known), len(parameters_of(known))) * sum(view.rollout_s for view in views)
+    # What a stage may have instead: fitted effects, and those like its named ones.
+    known = {name for stage in made for name in (*found[stage].fitted, *_names(found[stage]))} - judged
+    rivals = [c for view in views for c in candidates(view) if c.name in known]
+    searched = (*common.values(), *rivals)
+    planned_s = work.backward(len(searched), len(parameters_of(searched))) * sum(view.rollout_s for view in views)
     thresholds = RIG
     if PLANNED * budget_s < planned_s:
         thresholds = replace(RIG, search=replace(RIG.search, restarts=RESTARTS_BOUND))
         kept, _, _ = together(PLANNED * budget_s / planned_s, views, [stretches for _, stretches in made.values()])
-        views, used = [_on(each, view) for view, each in zip(views, kept, strict=True)], kept[0]
+        views, used = [part_of(each).adopt(v.assumed) for v, each in zip(views, kept, strict=True)], kept[0]
     free, kinds = tolerated(views, loaded, judged), [t.kind for t in used.trials]
     setup = Setup(views, free, kinds, used.origins, views[0].block_s)
-    return Examination(setup, known, thresholds, lambda text, done: None), common
-
-
-def _sized(joint: Examination, common: Set[str]) -> FittedChoice:
-    """Return the choice of a search, with nuisances as they act beside its effects if it chose a common one."""
-    chosen = joint.choice.chosen
-    return joint if common.isdisjoint(chosen.names) else joint.on(joint.setup.beside(chosen))
+    return Examination(setup, searched, thresholds, lambda text, done: None), common
 
 
 def tolerated(
@@ -246,13 +239,6 @@ def _alike(
     return {stage: names for stage, names in alike.items() if names}
 
 
-def _on(stretches: Stretches, view: RigView) -> RigView:
-    """Return a view of some stretches with the assumptions of another view."""
-    found = part_of(stretches)
-    found.adopt(view.assumed)
-    return found
-
-
 def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
     """Return the effect with one size for all views, with the widest bounds and the median usual change.
 
@@ -274,12 +260,6 @@ def _common(effect: str, part: str, views: Sequence[RigView]) -> Candidate:
         for name, each in same.items()
     )
     return Candidate(f"{part}.{effect}", part, parameters, starts(parameters))
-
-
-def _rivals(view: RigView, finding: Finding) -> Iterator[Candidate]:
-    """Yield the effects that a stage may have instead: fitted ones, and those like its named ones."""
-    names = {*finding.fitted, *_names(finding)}
-    return (each for each in candidates(view) if each.name in names)
 
 
 def _holds(joint: Examination, effect: SelectedEffect) -> bool:
@@ -306,28 +286,23 @@ def _named(
     if not shown:
         return None
 
-    def entry(stage: str) -> NamedEffect:
-        before, after = (squares_of(joint, each, stage) for each in (without, fit))
-        own = f"{stage}.{effect}"
-        alike = [other for other in selected.equivalents if other.startswith(f"{stage}.")]
-        alike += stages[stage].indistinguishable.get(own, ())
-        return NamedEffect(
-            name=own,
-            parameters={key: sizes[key] for key in _sizes(found[stage], effect)},
-            confidence=confidence("rig", selected),
-            equivalents=tuple(dict.fromkeys(alike)),
-            shared_by=shown if len(shown) > 1 else (),
-            shrink=Shrink(stage=share(*shrink.interval(before, after))),
-        )
-
-    held = {
-        stage: Held(
-            effect,
-            {key: sizes[key] for key in _sizes(found[stage], effect)},
-            entry(stage) if stage in shown else None,
-        )
-        for stage in loaded
-    }
+    held = dict[str, Held]()
+    for stage in loaded:
+        own, parameters = f"{stage}.{effect}", {key: sizes[key] for key in _sizes(found[stage], effect)}
+        held[stage] = Held(effect, parameters)
+        if stage in shown:
+            before, after = (squares_of(joint, each, stage) for each in (without, fit))
+            alike = [other for other in selected.equivalents if other.startswith(f"{stage}.")]
+            alike += stages[stage].indistinguishable.get(own, ())
+            named = NamedEffect(
+                name=own,
+                parameters=parameters,
+                confidence=confidence("rig", selected),
+                equivalents=tuple(dict.fromkeys(alike)),
+                shared_by=shown if len(shown) > 1 else (),
+                shrink=Shrink(stage=share(*shrink.interval(before, after))),
+            )
+            held[stage] = replace(held[stage], named=named)
     return Judgement(
         effect,
         held,
