@@ -88,16 +88,9 @@ class DrivenMassView(RigView):
         self._delayed = lru_cache(64 * len(trials))(self._held)
         self._forces = lru_cache(16)(self._driven)
         signals = [self._signals(k) for k in range(len(trials))]
-        super().__init__(
-            stage.name,
-            scales.speed_unit if self._speed_alone else scales.length,
-            (column,),
-            own,
-            [m.grid.t_s for m in self._motions],
-            [m.seen[:, None] for m in self._motions],
-            step,
-            signals,
-        )
+        unit = scales.speed_unit if self._speed_alone else scales.length
+        t_s, seen = [m.grid.t_s for m in self._motions], [m.seen[:, None] for m in self._motions]
+        super().__init__(stage.name, unit, (column,), own, t_s, seen, step, signals)
         swing = within_windows(self._motions, self._edges)
         self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
         self._windows = [self._starts(m, e) for m, e in zip(self._motions, self._edges, strict=True)]

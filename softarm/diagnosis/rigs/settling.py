@@ -60,7 +60,10 @@ def settled(
         if law is None:
             losses = _losses(view, setup)
             law = chosen_law(losses)
-        _use(view, min(law, len(view.laws) - 1))
+        law = min(law, len(view.laws) - 1)
+        view.assume_all(view.laws[law])
+        if law:  # the noise was measured next to the usual law
+            view.measure_noise()
     return setup(), losses
 
 
@@ -147,13 +150,6 @@ def _losses(view: RigView, setup: Callable[[], Setup]) -> tuple[float, ...]:
         return min(alone, explained / MOST)
 
     return tuple(left(law) for law in view.laws)
-
-
-def _use(view: RigView, law: int) -> None:
-    """Assume a law of a view, by its number, and measure the noise next to an unusual one."""
-    view.assume_all(view.laws[law])
-    if law:
-        view.measure_noise()
 
 
 def _owns(candidate: Candidate, path: str) -> bool:

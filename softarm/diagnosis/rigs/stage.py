@@ -414,18 +414,14 @@ class _Stage:
 
     def _floor(self) -> float:
         """Return the noise floor, RMS; without an effect, what the calibrated model leaves is noise."""
-        estimated = self._signal_noise()
+        estimated = rms(self.view.floor)
         if self.decision.kind != "none":
             return estimated
         return max(estimated, rms(self.fitted.null_residuals[self.view.stage].astype(float)))
 
     def _noise(self) -> float:
         """Return the noise floor in multiples of the estimate from the signals."""
-        return self._floor() / self._signal_noise()
-
-    def _signal_noise(self) -> float:
-        """Return the noise floor as estimated from the signals, RMS."""
-        return float(np.sqrt(np.mean(self.view.floor**2)))
+        return self._floor() / rms(self.view.floor)
 
     def _shrink(self, before: Array) -> Interval:
         """Return the share of the held-out RMS that the named effects remove; before: squares with fewer effects."""

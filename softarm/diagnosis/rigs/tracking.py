@@ -94,10 +94,8 @@ class TrackingView(RigView):
         self._known |= given_values(about, found)
         self._grids, self._commands = grids, commands
         self._starts = [float(_FIRST @ s[np.isfinite(s)][:3]) for s in seen]
-        sent = [t.channel("command") for t in trials]
-        self._changes_s = float(
-            np.median(np.concatenate([*(_between_changes(s) for s in sent), [self.scales.longest_s]]))
-        )
+        changes = [_between_changes(t.channel("command")) for t in trials]
+        self._changes_s = float(np.median(np.concatenate([*changes, [self.scales.longest_s]])))
         self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
         self._delayed = lru_cache(64 * len(trials))(self._command)
         # In recordings at one level a wrong zero may be many times the motion.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.data.trials import Series, Trial, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
@@ -132,10 +133,7 @@ class ChainView(RigView):
             return ()
         held, given = (self._shooting.residuals([self._law({})], torque)[0] for torque in (before, after))
         kept = self._shooting.kept
-        moved = [
-            float(np.sqrt(np.mean(((g - h)[keep] / self.floor) ** 2)))
-            for g, h, keep in zip(given, held, kept, strict=True)
-        ]
+        moved = [rms((g - h)[keep] / self.floor) for g, h, keep in zip(given, held, kept, strict=True)]
         return self._left_out([k for k, floors in enumerate(moved) if floors > UNSTABLE_FLOORS])
 
     def _left_out(self, windows: Sequence[int]) -> tuple[int, ...]:

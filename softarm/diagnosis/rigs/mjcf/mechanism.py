@@ -365,11 +365,8 @@ class Mechanism:
 
     def carries(self, joint: Joint) -> bool:
         """Return whether another joint follows behind a hinge of an open chain, so that its link's length matters."""
-        return (
-            joint.turns
-            and not joint.followers
-            and len({int(self.model.body_weldid[self._body(name)]) for name in joint.bodies}) > 1
-        )
+        links = {*self.model.body_weldid[self._moved(joint.dof)]}
+        return joint.turns and not joint.followers and len(links) > 1
 
     def _behind(self, dof: int) -> list[int]:
         """Return the bodies that a joint moves."""

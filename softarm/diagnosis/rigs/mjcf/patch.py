@@ -118,15 +118,13 @@ def agreed(found: Mapping[str, float], model: Mechanism) -> dict[str, float]:
             moved[name] = actuator
             if of_actuator(effect := parameter.partition(".")[0]) or effect == "ceiling":
                 sizes.setdefault((actuator.name, parameter), []).append(value / _worth(actuator, parameter))
-    return {
-        **found,
-        **{
-            f"{name}.{parameter}": float(np.mean(values)) * _worth(actuator, parameter)
-            for name, actuator in moved.items()
-            for (of, parameter), values in sizes.items()
-            if of == actuator.name
-        },
+    common = {
+        f"{name}.{parameter}": float(np.mean(values)) * _worth(actuator, parameter)
+        for name, actuator in moved.items()
+        for (of, parameter), values in sizes.items()
+        if of == actuator.name
     }
+    return {**found, **common}
 
 
 def _worth(actuator: Actuator, parameter: str) -> float:
@@ -253,11 +251,12 @@ def _tilted(model: Mechanism, tilts: Mapping[str, Sequence[float]]) -> Array:
 
 
 class _Element(NamedTuple):
-    """Opening tags with a name; `joint`: those of actuators without a name at this joint."""
+    """Opening tags with a name."""
 
     tag: str
     name: str
-    joint: str | None = None
+    joint: str | None = None  # of actuators without a name at this joint
+    body: str | None = None  # directly in this body
 
 
 class _Edits:
@@ -310,17 +309,16 @@ class _Edits:
         """
         if inertial is None:
             return False
-        place = self._place(_Element("inertial", ""), body)
+        element = _Element("inertial", "", body=body)
+        place = self._place(element)
         if place is None:
             frame = f'pos="{_numbers(inertial.at)}" quat="{_numbers(inertial.quat)}"'
             mass, inertia = _short(factor * inertial.mass_kg), _numbers(factor * inertial.inertia)
             return self._add(_Element("body", body), f'<inertial {frame} mass="{mass}" diaginertia="{inertia}"/>')
-        tag = self.text[place[0] : place[1]]
+        tag = self.text[slice(*place)]
         for name in ("mass", "diaginertia", "fullinertia"):
             if old := _attribute(tag, name):
-                scaled = [factor * float(x) for x in old[3].split()]
-                tag = f"{tag[: old.start(3)]}{_numbers(scaled)}{tag[old.end(3) :]}"
-        self.text = f"{self.text[: place[0]]}{tag}{self.text[place[1] :]}"
+                self.set(element, name, _numbers(factor * float(x) for x in old[3].split()))
         return True
 
     def add_point_mass(self, body: str, mass_kg: float, at: Iterable[float]) -> bool:
@@ -349,8 +347,8 @@ class _Edits:
         self.text = f"{self.text[:end]}\n{indent}  {child}{self.text[end:]}"
         return True
 
-    def _place(self, element: _Element, body: str | None = None) -> tuple[int, int] | None:
-        """Return start and end of the first such opening tag, of those directly in a body if one is given."""
+    def _place(self, element: _Element) -> tuple[int, int] | None:
+        """Return start and end of the first such opening tag."""
         data, bodies = self.text.encode(), list[str]()
         found: list[int] = []
         parser = expat.ParserCreate()
@@ -362,7 +360,7 @@ class _Edits:
             same &= element.joint in (None, attributes.get("joint"))
             # An equality of joints may have a joint's name.
             same &= tag != "joint" or bool(bodies)
-            if same and (body is None or (bodies and bodies[-1] == body)):
+            if same and (element.body is None or bodies[-1:] == [element.body]):
                 found.append(parser.CurrentByteIndex)
 
         def end(tag: str) -> None:
