@@ -38,7 +38,6 @@ class Slopes:
     Attributes:
         base: terms of the model.
         reach_m: usual distance of a payload from the last joint; 0 on a balanced link.
-        axes: axes about which a tilt of the base turns gravity.
         loaded: returns the change per kg of a payload at a place.
         longer: returns the change at one of LENGTH_SHARES of the joint's link.
         late: returns the change with forces of earlier speeds.
@@ -49,27 +48,19 @@ class Slopes:
         self._link = mechanism.last_link(joint)
         self.reach_m = self._link.reach_m
         self._others, self.base = others, others.terms()
-        self.axes = tuple(mechanism.level_axes)
         self.loaded = lru_cache(KEPT)(self._loaded)
         self.longer = cache(lambda share: others.terms(share) - self.base)
         self.late = cache(lambda late_s: others.terms_late(late_s) - self.base)
 
-    def part(self, part: str) -> Array:
-        """Return the change per share of the mass of one of the joint's parts, by its first body, [ROWS, M]."""
-        return self._changes.parts[part]
-
-    def tilted(self, axis: str) -> Array:
-        """Return the change per rad of a tilt about one of the axes, [ROWS, M]."""
-        return self._changes.tilted[axis]
+    @cached_property
+    def changes(self) -> Changes:
+        """Changes with each part's mass, a payload and a tilt of the base, [ROWS, M] each."""
+        return self._others.changes()
 
     @cached_property
     def heavier(self) -> Array:
         """Change per share of all masses behind the joint, [ROWS, M]."""
-        return np.asarray(sum(self._changes.parts.values()))
-
-    @cached_property
-    def _changes(self) -> Changes:
-        return self._others.changes()
+        return np.asarray(sum(self.changes.parts.values()))
 
     def at(self, change: BodyChange, start: Array | None = None) -> Array:
         """Return the terms with changed bodies, [ROWS, M]; start: terms to start from, instead of the base."""
@@ -81,15 +72,15 @@ class Slopes:
         if change.length_share:
             found += self._stretched(change.length_share)
         for axis, angle in change.tilts_rad:
-            found += angle * self.tilted(axis)
+            found += angle * self.changes.tilted[axis]
         for part, share in change.part_shares:
-            found += share * self.part(part)
+            found += share * self.changes.parts[part]
         if change.late_s:
             found += self.late(change.late_s)
         return found
 
     def _loaded(self, at_m: Place) -> Array:
-        return np.tensordot(powers(self._link.place(at_m)), self._changes.point, 1)
+        return np.tensordot(powers(self._link.place(at_m)), self.changes.point, 1)
 
     def _stretched(self, share: float) -> Array:
         """Return the change by a longer link, from those of LENGTH_SHARES, [ROWS, M]."""

@@ -4,13 +4,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.grid import time_since_change
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.slopes import Slopes
-from softarm.diagnosis.rigs.motion import Motion
+from softarm.diagnosis.rigs.motion import STILL, Motion, summed_twice
 
 # Share of a tilt's torque that a wrong zero or a constant torque leaves, up to which recordings cannot separate them.
 TILT_SHARE = 0.1
@@ -36,7 +38,7 @@ class Torques:
 
     def tilted(self) -> Mapping[str, Array]:
         """Return the torque per rad of the base's tilt, by axis."""
-        return {axis: self.load(self._slopes.tilted(axis)) for axis in self._slopes.axes}
+        return {axis: self.load(change) for axis, change in self._slopes.changes.tilted.items()}
 
     def doubling_kg(self, felt: float) -> tuple[float, ...]:
         """Return the payloads that double the torque, kg, at the usual distance along each axis of the last link, [3].
@@ -95,6 +97,35 @@ def lost(actuator: Actuator | None, sent: Sequence[Array], motions: Sequence[Mot
     given = [actuator.torque(command, m.position, m.speed) for command, m in zip(sent, motions, strict=True)]
     along = np.sign(np.concatenate([m.speed for m in motions]))
     return max(float(np.mean((np.concatenate(given) - needed) * along)), 0.0)
+
+
+def features(
+    motion: Motion, edges: NDArray[np.int64], terms: Array, sent: Array | None, speed: float
+) -> dict[str, Array]:
+    """Return the features of a trial's samples for a flexible model of the residual, by name, [T] each.
+
+    Args:
+        motion: motion of the joint.
+        edges: first samples of the windows, and the end.
+        terms: rigid-body terms, [ROWS, T].
+        sent: command at each sample, [T], or None without an actuator.
+        speed: large speed of the joint, rad/s or m/s.
+    """
+    t, v = motion.grid.t_s, motion.speed
+    direction = np.sign(np.where(np.abs(v) > STILL * speed, v, 0.0))
+    found = {
+        "torque": load(terms, motion.position, v),
+        "speed": v,
+        "direction": direction,
+        "position": motion.position,
+        "time since reversal": time_since_change(t, np.sign(v)),
+        "time in the window": t - t[np.repeat(edges[:-1], np.diff(edges))],
+    }
+    if sent is not None:
+        found["command"] = sent
+    for name, values in {"direction": direction, "speed": v, "drag": v * np.abs(v)}.items():
+        found[f"{name}, summed"] = summed_twice(values, edges, motion.grid.step_s)
+    return found
 
 
 def _without(values: Array, other: Array) -> Array:

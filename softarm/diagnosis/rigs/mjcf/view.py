@@ -17,7 +17,6 @@ from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import fastest_change, resolution, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks, drive
-from softarm.diagnosis.rigs.mjcf.compared import compared, smoother
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
 from softarm.diagnosis.rigs.mjcf.effects import (
     GAIN_OF,
@@ -28,13 +27,12 @@ from softarm.diagnosis.rigs.mjcf.effects import (
     joint_effects,
     of_actuator,
 )
-from softarm.diagnosis.rigs.mjcf.features import features
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.noise import averaged, combined, samples_averaged
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, lost, split
+from softarm.diagnosis.rigs.mjcf.torques import Torques, features, lost, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
@@ -132,7 +130,9 @@ class JointView(RigView):
         self.curved = self._bends = {"coulomb_friction.give": GIVES * scales.give} if bends else {}
         (friction,) = (effect for effect in own if effect.name == f"{stage.name}.coulomb_friction")
         self._frictions = friction, replace(friction, parameters=friction.parameters[:1])  # which bends, which creeps
-        longest_s = min(scales.period_s, self._unstable_s() / WINDOW_PERIODS)
+        # Time in which an error of a window's start grows by GROWN.
+        unstable_s = float(np.log(GROWN) / np.sqrt(pushed)) if (pushed := self._pushed()) > 0 else np.inf
+        longest_s = min(scales.period_s, unstable_s / WINDOW_PERIODS)
         window_s, self.block_s = window_lengths(longest_s, scales.step_s, self._motions)
         self._each = self._substeps()
         out = [self._out(k) for k in range(len(trials))]
@@ -248,10 +248,6 @@ class JointView(RigView):
             return f"actuator {effect.removeprefix(GAIN_OF) if effect.startswith(GAIN_OF) else self._actuator.name}"
         return effect.removeprefix(MASS) if effect.startswith(MASS) else self._end if effect == "payload" else "base"
 
-    def _unstable_s(self) -> float:
-        """Return the time in which an error of a window's start grows by GROWN, s; infinity for a stable joint."""
-        return float(np.log(GROWN) / np.sqrt(pushed)) if (pushed := self._pushed()) > 0 else np.inf
-
     def _pushed(self) -> float:
         """Return the acceleration by an error of the position, 1/s^2; negative if a loop or a spring reduces it."""
         held = self._joint.spring + (self._actuator.kp if self._actuator is not None else 0.0)
@@ -317,13 +313,13 @@ class JointView(RigView):
         if found := [*checks.out_of_range(joint, where, seen)]:
             raise TrialError("\n".join(found))
         if not self._sent:
-            smooth = smoother(self._motions, [m.speed for m in self._motions], free, NARROW)
+            smooth = checks.smoother(self._motions, [m.speed for m in self._motions], free, NARROW)
             if wrong := misread(self._mechanism, joint, self._others.smoothed(smooth)):
                 raise TrialError(f"{where}: {wrong}")
             return []
         sent = drive.acting(self._actuator, self._sent, self._motions)
-        smooth = smoother(self._motions, sent, free)
-        signals = compared(joint, self._motions, sent, smooth, self._terms_along)
+        smooth = checks.smoother(self._motions, sent, free)
+        signals = checks.compared(joint, self._motions, sent, smooth, self._terms_along)
         if found := [*checks.mistakes(joint, where, signals)]:
             raise TrialError("\n".join(found))
 
