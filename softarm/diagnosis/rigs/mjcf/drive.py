@@ -1,10 +1,10 @@
 """Inputs of a joint's actuator in its recordings: commands, and the motion of other joints that it moves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_integral, held_means
 from softarm.diagnosis.rigs.laws import joint as laws
@@ -22,100 +22,103 @@ def columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
     return set().union(*measured), set().union(*base)
 
 
-def inputs(joint: Joint, trials: Sequence[Trial]) -> tuple[Actuator | None, list[tuple[Array, Array]]]:
-    """Return a joint's actuator, and stamps and integral of every trial's command within its range.
+class Drive:
+    """Actuator of a joint, or a measured torque in its place, with its inputs in every trial.
 
-    A measured torque replaces the actuator. Without either there are no commands.
-
-    Raises:
-        TrialError: the model's actuators cannot be used, or a column of theirs is missing.
+    Attributes:
+        actuator: the actuator, or None for a joint that nothing drives. Then there are no inputs.
+        inputs: stamps and integral of each trial's command within its range.
+        shares: the same of each of several actuators, by name.
+        settled_s: time in each trial from which the unknown state of a slow actuator at its start is forgotten, s.
+        lengths: length and speed of the actuator by the other joints that it moves, [T] of each trial. A motor does not
+            feel them: then, and without other joints, the list is empty.
+        sent: each trial's command at its samples, [T]. It is the command that would move the joint alike if its
+            actuator moved no other joint.
     """
-    actuator, channel = joint.actuator, "command"
-    if not _lacking(trials, "torque", joint.name):
-        actuator, channel = Actuator(joint.name), "torque"
-    elif joint.problem:
+
+    def __init__(self, joint: Joint, trials: Sequence[Trial]) -> None:
+        """Find actuator and inputs; `follow` sets what depends on the motion.
+
+        Raises:
+            TrialError: the model's actuators cannot be used, or a column of theirs is missing.
+        """
+        self.actuator, channel = joint.actuator, "command"
+        if not _lacking(trials, "torque", joint.name):
+            self.actuator, channel = Actuator(joint.name), "torque"
+        else:
+            _refuse_unusable(joint, trials)
+        self.inputs, self.shares = list[tuple[Array, Array]](), dict[str, list[tuple[Array, Array]]]()
+        self.settled_s = [-np.inf] * len(trials)
+        if actuator := self.actuator:
+            commands = [t.channel(channel) for t in trials]
+            self.inputs = [held_integral(each, actuator.sent(each.__getitem__), 10.0) for each in commands]
+            for name, share in actuator.shares.items():
+                self.shares[name] = [held_integral(each, share.given(each.__getitem__), 10.0) for each in commands]
+            if actuator.lag_s:
+                self.settled_s = [float(each.t_s[0]) + SETTLES * actuator.lag_s for each in commands]
+
+    def follow(self, motions: Sequence[Motion], around: Sequence[Mapping[str, tuple[Array, Array, Array]]]) -> None:
+        """Set `lengths` and `sent` by the motion of each trial.
+
+        Args:
+            motions: motion of the joint.
+            around: column -> position, speed and acceleration of other joints, [T] each.
+        """
+        self._motions, self.lengths = motions, list[tuple[Array, Array]]()
+        pairs = zip(self.inputs, motions if self.inputs else (), strict=True)
+        self.sent = [
+            held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs
+        ]
+        actuator = self.actuator
+        if actuator is None or not actuator.others or not (actuator.kp or actuator.kd):
+            return
+        names, ratios = [*actuator.others], np.array([*actuator.others.values()])
+        self.lengths = [(ratios @ [each[n][0] for n in names], ratios @ [each[n][1] for n in names]) for each in around]
+        kp, kd = (each / (actuator.gear * actuator.scale) for each in (actuator.kp, actuator.kd))
+        both = zip(self.sent, self.lengths, strict=True)
+        self.sent = [command - kp * length - kd * speed for command, (length, speed) in both]
+
+    def acting(self) -> list[Array]:
+        """Return each trial's command after the lag of the actuator, [T]."""
+        if self.actuator is None or not self.actuator.lag_s:
+            return [*self.sent]
+        found = [np.empty_like(command) for command in self.sent]
+        for command, m, out in zip(self.sent, self._motions, found, strict=True):
+            laws.follow(command, np.inf, self.actuator.lag_s, m.grid.step_s, out)
+        return found
+
+    def lost(self, needed: Array) -> float:
+        """Return the mean torque of a motor along the motion beyond the needed one; 0 for a position loop.
+
+        needed: torque that the motion of all trials needs without friction, [M].
+        """
+        actuator, motions = self.actuator, self._motions
+        if actuator is None or actuator.kp > 0:
+            return 0.0
+        given = [actuator.torque(command, m.position, m.speed) for command, m in zip(self.sent, motions, strict=True)]
+        along = np.sign(np.concatenate([m.speed for m in motions]))
+        return max(float(np.mean((np.concatenate(given) - needed) * along)), 0.0)
+
+
+def _refuse_unusable(joint: Joint, trials: Sequence[Trial]) -> None:
+    """Raise TrialError if the model's actuators cannot be used, or a column of theirs is missing."""
+    actuator = joint.actuator
+    if joint.problem:
         raise TrialError(joint.problem)
-    elif actuator is None:
-        return None, []
-    elif missing := [
-        (t, each) for each in actuator.shares or (actuator.name,) for t in _lacking(trials, channel, each)
-    ]:
+    if actuator is None:
+        return
+    missing = [(t, each) for each in actuator.shares or (actuator.name,) for t in _lacking(trials, "command", each)]
+    if missing:
         trial, name = missing[0]
         raise TrialError(
             f"{trial.source}: joint {joint.name} is moved by the actuator {name}, whose command is "
             f"missing; add a column {name} to `command`, or {joint.name} to `torque`"
         )
-    elif unseen := sorted(actuator.others.keys() - set().union(*columns(trials))):
+    if unseen := sorted(actuator.others.keys() - set().union(*columns(trials))):
         raise TrialError(
             f"{trials[0].source}: {actuator.name} moves {joint.name} and {', '.join(unseen)}, which no column "
             "measures; add it to `measured` or `base`"
         )
-    return actuator, received(actuator.sent, [t.channel(channel) for t in trials])
-
-
-def received(
-    signal: Callable[[Callable[[str], Array]], Array], commands: Sequence[Series]
-) -> list[tuple[Array, Array]]:
-    """Return stamps and integral of a signal made of the commands of each trial, such as `Actuator.sent`."""
-    return [held_integral(series, signal(series.__getitem__), 10.0) for series in commands]
-
-
-def settled_s(actuator: Actuator | None, trials: Sequence[Trial]) -> list[float]:
-    """Return the time in each trial from which the unknown state of a slow actuator at its start is forgotten, s."""
-    if actuator is None or not actuator.lag_s:
-        return [-np.inf] * len(trials)
-    return [float(t.channel("command").t_s[0]) + SETTLES * actuator.lag_s for t in trials]
-
-
-def along(
-    actuator: Actuator | None, around: Sequence[Mapping[str, tuple[Array, Array, Array]]]
-) -> list[tuple[Array, Array]]:
-    """Return length and speed of an actuator by the other joints that it moves, [T] of each trial.
-
-    A motor does not feel them: then, and without other joints, the list is empty.
-
-    Args:
-        actuator: the actuator, or None.
-        around: column -> position, speed and acceleration of other joints, [T] each.
-    """
-    if actuator is None or not actuator.others or not (actuator.kp or actuator.kd):
-        return []
-    names, ratios = [*actuator.others], np.array([*actuator.others.values()])
-    return [(ratios @ [each[n][0] for n in names], ratios @ [each[n][1] for n in names]) for each in around]
-
-
-def sent(
-    actuator: Actuator | None,
-    commands: Sequence[tuple[Array, Array]],
-    lengths: Sequence[tuple[Array, Array]],
-    motions: Sequence[Motion],
-) -> list[Array]:
-    """Return each trial's command at its samples, [T]; without an actuator there are none.
-
-    It is the command that would move the joint alike if its actuator moved no other joint.
-
-    Args:
-        actuator: the actuator, or None.
-        commands: stamps and integral of every trial's command.
-        lengths: result of `along`.
-        motions: motion of the joint in each trial.
-    """
-    pairs = zip(commands, motions if commands else (), strict=True)
-    found = [held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs]
-    if actuator is None or not lengths:
-        return found
-    kp, kd = (each / (actuator.gear * actuator.scale) for each in (actuator.kp, actuator.kd))
-    return [command - kp * length - kd * speed for command, (length, speed) in zip(found, lengths, strict=True)]
-
-
-def acting(actuator: Actuator | None, commands: Sequence[Array], motions: Sequence[Motion]) -> list[Array]:
-    """Return each trial's command after the lag of the actuator, [T]; commands: result of `sent`."""
-    if actuator is None or not actuator.lag_s:
-        return [*commands]
-    found = [np.empty_like(command) for command in commands]
-    for command, m, out in zip(commands, motions, found, strict=True):
-        laws.follow(command, np.inf, actuator.lag_s, m.grid.step_s, out)
-    return found
 
 
 def _lacking(trials: Sequence[Trial], channel: str, column: str) -> list[Trial]:

@@ -9,7 +9,7 @@ from softarm.diagnosis.answer.worst import window, worst
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine.result import Diagnosis, Film, Overlay
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.mjcf import drive
+from softarm.diagnosis.rigs.mjcf.drive import columns
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism, mechanism
 from softarm.diagnosis.rigs.mjcf.others import continuous
 
@@ -37,7 +37,7 @@ def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
     trial = next(t for t in own if _is_of(shown, t))
     start, end = window(shown) or (float(shown.t_s[0]), float(shown.t_s[-1]))
     t_s = np.arange(start, end, 1 / FRAMES_PER_S)
-    model = mechanism(Path(str(stage_of([trial]).model["mjcf"])), *drive.columns([trial]))
+    model = mechanism(Path(str(stage_of([trial]).model["mjcf"])), *columns([trial]))
     measured = _measured(model, trial, t_s)
     seen = [each for each in diagnosis.overlays if _is_of(each, trial) and each.stage in measured]
     apart = {"nominal": _apart(seen, [each.nominal for each in seen], t_s)}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.drive import Drive
 from softarm.diagnosis.rigs.mjcf.effects import GAIN_OF, MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
@@ -53,34 +53,28 @@ class JointSimulation:
     def __init__(
         self,
         joint: Joint,
-        actuator: Actuator | None,
+        drive: Drive,
         slopes: Slopes,
         steps: Stepping,
         motions: Sequence[Motion],
-        inputs: Sequence[tuple[Array, Array]],
-        shares: Mapping[str, Sequence[tuple[Array, Array]]],
-        along: Sequence[tuple[Array, Array]],
         each: int,
     ) -> None:
         """Prepare the inputs.
 
         Args:
             joint: the joint.
-            actuator: its actuator, or None.
+            drive: its actuator, with the commands of all trials.
             slopes: rigid-body terms of all trials, and their changes.
             steps: the model's own integration.
             motions: measured motion of each trial.
-            inputs: stamps and integral of each trial's command; empty without an actuator.
-            shares: the same of each of several actuators, by name.
-            along: length and speed of the actuator by the other joints that it moves, [T] of each trial.
             each: integration steps per sample.
         """
-        self._joint, self._actuator, self._motions = joint, actuator, motions
-        self._inputs, self._each = {"": inputs, **shares}, each
+        self._joint, self._actuator, self._motions = joint, drive.actuator, motions
+        self._inputs, self._each = {"": drive.inputs, **drive.shares}, each
         self._slopes, self._steps = slopes, steps
-        self._along = tuple(map(self._stepped, zip(*along, strict=True))) if along else (0.0, 0.0)
+        self._along = tuple(map(self._stepped, zip(*drive.lengths, strict=True))) if drive.lengths else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
-        self._gains = [(f"{GAIN_OF}{name}.scale", name) for name in shares]
+        self._gains = [(f"{GAIN_OF}{name}.scale", name) for name in drive.shares]
         kept = lru_cache(KEPT)
         self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
 

@@ -10,7 +10,6 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import time_since_change
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.slopes import Slopes
 from softarm.diagnosis.rigs.motion import STILL, Motion, summed_twice
 
@@ -81,22 +80,6 @@ def load(terms: Array, position: Array, speed: Array) -> Array:
 def torque(terms: Array, position: Array, speed: Array, acceleration: Array) -> Array:
     """Return the torque that a motion needs without friction, [T]; terms: [ROWS, T]."""
     return np.asarray(load(terms, position, speed) + terms[laws.INERTIA] * acceleration)
-
-
-def lost(actuator: Actuator | None, sent: Sequence[Array], motions: Sequence[Motion], needed: Array) -> float:
-    """Return the mean torque of a motor along the motion beyond the needed one; 0 for a position loop.
-
-    Args:
-        actuator: actuator of the joint, or None.
-        sent: its command in each recording, [T].
-        motions: motion of each recording.
-        needed: torque that the motion of all recordings needs without friction, [M].
-    """
-    if actuator is None or actuator.kp > 0:
-        return 0.0
-    given = [actuator.torque(command, m.position, m.speed) for command, m in zip(sent, motions, strict=True)]
-    along = np.sign(np.concatenate([m.speed for m in motions]))
-    return max(float(np.mean((np.concatenate(given) - needed) * along)), 0.0)
 
 
 def features(

@@ -16,8 +16,9 @@ from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import fastest_change, resolution, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf import checks, drive
+from softarm.diagnosis.rigs.mjcf import checks
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
+from softarm.diagnosis.rigs.mjcf.drive import Drive, columns
 from softarm.diagnosis.rigs.mjcf.effects import (
     GAIN_OF,
     MASS,
@@ -32,7 +33,7 @@ from softarm.diagnosis.rigs.mjcf.noise import averaged, combined, samples_averag
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
 from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, features, lost, split
+from softarm.diagnosis.rigs.mjcf.torques import Torques, features, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
@@ -91,22 +92,17 @@ class JointView(RigView):
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Prepare the trials of one joint; raise TrialError if model and columns do not fit each other."""
         stage = stage_of(trials)
-        self._mechanism = mechanism(Path(str(stage.model["mjcf"])), *drive.columns(trials))
+        self._mechanism = mechanism(Path(str(stage.model["mjcf"])), *columns(trials))
         self._joint = joint = self._mechanism.joint(stage.name)
         self._refuse_follower(trials)
         self._end = f"end {self._mechanism.last_link(joint).body}"
-        self._actuator, self._inputs = drive.inputs(joint, trials)
-        shares = self._actuator.shares if self._actuator is not None else {}
-        self._shares = {
-            n: drive.received(each.given, [t.channel("command") for t in trials]) for n, each in shares.items()
-        }
-        self._settled_s = drive.settled_s(self._actuator, trials)
+        self._drive = Drive(joint, trials)
+        self._actuator = self._drive.actuator
         step = resolution([t.channel("measured")[joint.name] for t in trials])
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._along = drive.along(self._actuator, self._others.around)
-        self._sent = drive.sent(self._actuator, self._inputs, self._along, self._motions)
+        self._drive.follow(self._motions, self._others.around)
         self._slopes = Slopes(self._mechanism, joint, self._others)
         self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
@@ -137,7 +133,7 @@ class JointView(RigView):
         self._each = self._substeps()
         out = [self._out(k) for k in range(len(trials))]
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
-        sent: Sequence[Array | None] = self._sent or [None] * len(trials)
+        sent: Sequence[Array | None] = self._drive.sent or [None] * len(trials)
         terms = split(self._slopes.base, self._motions)
         signals = [features(*each, scales.speed) for each in zip(self._motions, self._edges, terms, sent, strict=True)]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
@@ -160,17 +156,8 @@ class JointView(RigView):
 
     def _simulated(self, edges: Sequence[NDArray[np.int64]]) -> JointSimulation:
         """Return the simulation of windows with these edges, by trial."""
-        found = JointSimulation(
-            self._joint,
-            self._actuator,
-            self._slopes,
-            self._mechanism.stepping,
-            self._motions,
-            self._inputs,
-            self._shares,
-            self._along,
-            self._each,
-        )
+        stepping = self._mechanism.stepping
+        found = JointSimulation(self._joint, self._drive, self._slopes, stepping, self._motions, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
         found.start(self._seen, edges, slow, nominal, self._noise)
         return found
@@ -312,12 +299,12 @@ class JointView(RigView):
         seen = np.concatenate([m.position[used] for m, used in zip(self._motions, free, strict=True)])
         if found := [*checks.out_of_range(joint, where, seen)]:
             raise TrialError("\n".join(found))
-        if not self._sent:
+        if not self._drive.sent:
             smooth = checks.smoother(self._motions, [m.speed for m in self._motions], free, NARROW)
             if wrong := misread(self._mechanism, joint, self._others.smoothed(smooth)):
                 raise TrialError(f"{where}: {wrong}")
             return []
-        sent = drive.acting(self._actuator, self._sent, self._motions)
+        sent = self._drive.acting()
         smooth = checks.smoother(self._motions, sent, free)
         signals = checks.compared(joint, self._motions, sent, smooth, self._terms_along)
         if found := [*checks.mistakes(joint, where, signals)]:
@@ -337,7 +324,7 @@ class JointView(RigView):
         if self._actuator is None or not self._actuator.kp > 0:
             return []
         seen = np.concatenate([m.position for m in self._motions])
-        return [*checks.stuck(replace(self._joint, actuator=self._actuator), seen, np.concatenate(self._sent))]
+        return [*checks.stuck(replace(self._joint, actuator=self._actuator), seen, np.concatenate(self._drive.sent))]
 
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
@@ -352,10 +339,10 @@ class JointView(RigView):
             joint=joint,
             driven=actuator is not None,
             follows=actuator is not None and actuator.kp > 0,
-            actuators=tuple(self._shares),
+            actuators=tuple(self._drive.shares),
             torque=float(np.quantile(np.abs(needed), 0.995)) + floor,
             usual=float(np.mean(np.abs(needed))) + floor,
-            lost=lost(actuator, self._sent, found, needed),
+            lost=self._drive.lost(needed),
             load=float(np.quantile(loads, 0.995)) * (float(loads.max()) > FELT * float(np.abs(needed).max())),
             mass=float(rms(heavier) > felt),
             payloads_kg=torques.doubling_kg(FELT),
@@ -370,7 +357,7 @@ class JointView(RigView):
             resolution=max(step, *(m.noise for m in found)),
             step_s=float(np.median([m.grid.step_s for m in found])),
             period_s=period(found),
-            command_rate=fastest_change(self._inputs),
+            command_rate=fastest_change(self._drive.inputs),
         )
 
     @property
@@ -407,10 +394,10 @@ class JointView(RigView):
             "length.scale": OF_LENGTH,
             "gain.scale": OF_OWN,
             "position_gain.scale": OF_OWN,
-            **{f"{GAIN_OF}{name}.scale": OF_OWN for name in self._shares},
+            **{f"{GAIN_OF}{name}.scale": OF_OWN for name in self._drive.shares},
         }
-        if self._inputs:
-            own["dead_time.delay"] = HELD_LATE * usual_step(self._inputs)
+        if inputs := self._drive.inputs:
+            own["dead_time.delay"] = HELD_LATE * usual_step(inputs)
             own["torque_offset.torque"] = OF_FORCE * s.usual
             own["command_bias.bias"] = self._zero
         return own if self._like_tilt else own | {f"tilt.{axis}": LEVEL_RAD for axis in self._scales.tilts}
@@ -445,7 +432,8 @@ class JointView(RigView):
     @property
     def model_uncertainty(self) -> Mapping[str, float]:
         """Uncertainty of times: 'effect.parameter' -> half-width."""
-        return time_uncertainty(usual_step(self._inputs)) if self._inputs else {}
+        inputs = self._drive.inputs
+        return time_uncertainty(usual_step(inputs)) if inputs else {}
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
@@ -484,7 +472,7 @@ class JointView(RigView):
         """Return whether a trial's sample is near a joint limit or a contact, or its actuator's state unknown, [T]."""
         m, (low, high) = self._motions[k], self._joint.range
         touching = widened(self._held[k] | (m.position <= low) | (m.position >= high), m.grid.step_s)
-        return np.asarray(touching | (m.grid.t_s < self._settled_s[k]))
+        return np.asarray(touching | (m.grid.t_s < self._drive.settled_s[k]))
 
     def _compared(self, k: int, out: NDArray[np.bool_]) -> Array:
         """Return a trial's measured values, [T]; NaN where samples are left out, and in short windows between these."""
