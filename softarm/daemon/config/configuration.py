@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softarm.common import yaml_lines
-from softarm.common.keys import leaves
+from softarm.common.keys import Key, leaves
 from softarm.common.quantity import shown
 from softarm.common.revision import PACKAGE
 from softarm.common.yaml_lines import FileError, Place
@@ -31,6 +31,10 @@ class Loaded:
     def place(self, path: Place) -> str:
         """Return the location of a key: `FILE:LINE`, or the file alone."""
         return f"{self.path}:{self.lines[path]}" if path in self.lines else str(self.path)
+
+    def source(self, path: Place, otherwise: str) -> str:
+        """Return `line LINE` for a key of the file, and another text for a key with its default value."""
+        return f"line {self.lines[path]}" if path in self.lines else otherwise
 
 
 class ConfigurationError(FileError):
@@ -57,26 +61,20 @@ def read(path: Path | str) -> Loaded:
         raise refused from None
 
 
-class ChangedRow(NamedTuple):
-    """One value that differs from its default."""
-
-    key: str
-    value: str
-    unit: str
-    default: str
-    place: str  # line in the file
-
-
-def changed(loaded: Loaded) -> list[ChangedRow]:
-    """Return the values of the file that differ from their defaults."""
-    default, rows = Config(), []
+def differences(one: Config, other: Config) -> Iterator[tuple[Key, Any, Any]]:
+    """Yield each key whose values differ, with both values."""
     for key in leaves(Config):
-        value, usual = (attrgetter(key.name)(config) for config in (loaded.config, default))
-        if value != usual:
-            line = loaded.lines.get(key.path)
-            place = "" if line is None else f"line {line}"
-            rows.append(ChangedRow(key.name, _text(value), key.unit, _text(usual), place))
-    return rows
+        values = [attrgetter(key.name)(config) for config in (one, other)]
+        if values[0] != values[1]:
+            yield key, values[0], values[1]
+
+
+def changed(loaded: Loaded) -> list[tuple[str, str, str, str, str]]:
+    """Return key, value, unit, default and line of each value of the file that differs from its default."""
+    return [
+        (key.name, _text(value), key.unit, _text(usual), loaded.source(key.path, ""))
+        for key, value, usual in differences(loaded.config, Config())
+    ]
 
 
 def _text(value: object) -> str:
@@ -98,9 +96,7 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
     rows = []
     for key in leaves(Config):
         if key.path[0] in ("limits", "failsafe", "goals"):
-            value = attrgetter(key.name)(loaded.config)
-            line = loaded.lines.get(key.path)
-            source = "default" if line is None else f"line {line}"
+            value, source = attrgetter(key.name)(loaded.config), loaded.source(key.path, "default")
             rows.append(LimitRow(key.name, shown(value), key.unit, key.bounds, source))
     return rows + list(_derived(loaded.config))
 

@@ -5,12 +5,11 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 
-from softarm.common.keys import leaves
 from softarm.common.quantity import shown
 from softarm.common.revision import PACKAGE
+from softarm.daemon.config.configuration import differences
 from softarm.daemon.install.steps import Folder, Keep, Remove, Run, Step, Write
 from softarm.schemas.config import Config
 
@@ -156,7 +155,8 @@ def _configuration(system: System, wanted: Wanted) -> Iterator[Step]:
     if wanted.installed is None:
         yield Write(path, wanted.text, system.read(path))
         return
-    different = [f"{key}: {here}, not {new}" for key, here, new in differences(wanted.installed, wanted.config)]
+    differing = differences(wanted.installed, wanted.config)
+    different = [f"{key.name}: {_text(here)}, not {_text(new)}" for key, here, new in differing]
     if not different:
         yield Keep(path, "it has the requested values" if wanted.asked_for else "it has the default values")
     elif wanted.asked_for:
@@ -166,13 +166,8 @@ def _configuration(system: System, wanted: Wanted) -> Iterator[Step]:
         yield Keep(path, f"it was changed and stays: {'; '.join(different)}")
 
 
-def differences(one: Config, other: Config) -> Iterator[tuple[str, str, str]]:
-    """Yield each key whose values differ, with both values."""
-    for key in leaves(Config):
-        values = [attrgetter(key.name)(config) for config in (one, other)]
-        if values[0] != values[1]:
-            here, there = (str(value) if isinstance(value, dict) else shown(value) for value in values)
-            yield key.name, here, there
+def _text(value: object) -> str:
+    return str(value) if isinstance(value, dict) else shown(value)
 
 
 def _file(system: System, path: Path, text: str) -> Write | Keep:
