@@ -4,7 +4,7 @@ Only the fields that are drawn, plotted and tabulated are read, so logs of other
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,6 +81,13 @@ class Moment(NamedTuple):
 
 
 Record = Tick | MocapFrame | PressureReading | RailReading | Entry
+_DECODERS: dict[str, Callable[[bytes], Record]] = {
+    log.TICK: Tick.model_validate_json,
+    log.MOCAP: live.MOCAP.decode,
+    log.PRESSURE: live.PRESSURE.decode,
+    log.RAIL: live.RAIL.decode,
+    log.EVENT: live.EVENT.decode,
+}
 
 
 def record(topic: str, data: bytes) -> Record | None:
@@ -89,18 +96,8 @@ def record(topic: str, data: bytes) -> Record | None:
     Raises:
         pydantic.ValidationError: The message has another format.
     """
-    match topic:
-        case log.TICK:
-            return Tick.model_validate_json(data)
-        case log.MOCAP:
-            return live.MOCAP.decode(data)
-        case log.PRESSURE:
-            return live.PRESSURE.decode(data)
-        case log.RAIL:
-            return live.RAIL.decode(data)
-        case log.EVENT:
-            return live.EVENT.decode(data)
-    return None
+    decode = _DECODERS.get(topic)
+    return None if decode is None else decode(data)
 
 
 def records(path: Path) -> Iterator[Record | None]:

@@ -44,12 +44,9 @@ class LogFile:
         path = Path(path)
         metadata: dict[str, Mapping[str, str]] = {}
         policies: list[Mapping[str, str]] = []
-        topics: dict[int, str] = {}
         records, first, last = 0, None, None
-        for record in mcap_file.records(path):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Metadata):
+        for topic, record in mcap_file.records(path):
+            if isinstance(record, Metadata):
                 metadata[record.name] = record.metadata
                 if record.name == log.SOFTWARE:
                     _check_format(path, record.metadata)
@@ -57,7 +54,7 @@ class LogFile:
                     policies.append(record.metadata)
             elif isinstance(record, Message):
                 records += 1
-                if topics[record.channel_id] == log.TICK:
+                if topic == log.TICK:
                     first = record.log_time if first is None else first
                     last = record.log_time
         return cls(path, metadata, tuple(policies), records, first, last, mcap_file.is_finished(path))
@@ -182,7 +179,7 @@ def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> None:
     writer.start(profile="", library=LIBRARY)
     schemas = {0: 0}  # channels without a schema
     copies: dict[int, int] = {}
-    for record in mcap_file.records(path):
+    for _, record in mcap_file.records(path):
         if isinstance(record, Schema) and record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel) and record.id not in copies:

@@ -14,10 +14,11 @@ class LogError(Exception):
     """Error about a file that is not a log or cannot be read, with its name and the next step."""
 
 
-def records(path: Path) -> Iterator[McapRecord]:
+def records(path: Path) -> Iterator[tuple[str, McapRecord]]:
     """Yield every complete record in file order, up to the point where the file breaks off.
 
-    A message without its channel, or a channel without its schema, is left out.
+    A message has its topic, any other record an empty text. A message without its channel, or a channel without its
+    schema, is left out.
 
     Raises:
         LogError: The file does not exist or is not MCAP.
@@ -34,10 +35,10 @@ def records(path: Path) -> Iterator[McapRecord]:
         yield from stream(file, os.fstat(file.fileno()).st_size)
 
 
-def stream(file: IO[bytes], record_max: int) -> Iterator[McapRecord]:
+def stream(file: IO[bytes], record_max: int) -> Iterator[tuple[str, McapRecord]]:
     """Yield every complete record of a stream, such as a pipe, as `records` does, up to `record_max` bytes each."""
     found = StreamReader(file, record_size_limit=record_max).records
-    schemas, channels = {0}, set[int]()  # 0: channels without a schema
+    schemas, topics = {0}, dict[int, str]()  # 0: channels without a schema
     while True:
         try:
             record = next(found)
@@ -47,12 +48,14 @@ def stream(file: IO[bytes], record_max: int) -> Iterator[McapRecord]:
             case Schema():
                 schemas.add(record.id)
             case Channel() if record.schema_id in schemas:
-                channels.add(record.id)
+                topics[record.id] = record.topic
             case Channel():
                 continue
-            case Message() if record.channel_id not in channels:
+            case Message():
+                if record.channel_id in topics:
+                    yield topics[record.channel_id], record
                 continue
-        yield record
+        yield "", record
 
 
 def messages(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -67,12 +70,9 @@ def messages(path: Path) -> Iterator[tuple[str, bytes]]:
 
 def stamped_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Yield topic, time of logging in ns since 1970 and data of every complete message, as `messages` does."""
-    topics: dict[int, str] = {}
-    for record in records(path):
-        if isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message):
-            yield topics[record.channel_id], record.log_time, record.data
+    for topic, record in records(path):
+        if isinstance(record, Message):
+            yield topic, record.log_time, record.data
 
 
 def origin(path: Path) -> tuple[str, str]:
@@ -82,7 +82,7 @@ def origin(path: Path) -> tuple[str, str]:
         LogError: The file does not exist or is not MCAP.
     """
     library = ""
-    for record in records(path):
+    for _, record in records(path):
         if isinstance(record, Header):
             library = record.library
         elif isinstance(record, Channel):

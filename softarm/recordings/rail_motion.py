@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Message, Metadata
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
@@ -48,19 +48,16 @@ def read(path: Path) -> RailMotion:
     Raises:
         LogError: The file is not a log, or has an unknown format.
     """
-    topics: dict[int, str] = {}
     ticks: list[_Outputs] = []
     seen: dict[int, tuple[float, float]] = {}
     said: Config | None = None
     try:
-        for record in mcap_file.records(path):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Metadata) and record.name == log.CONFIGURATION:
+        for topic, record in mcap_file.records(path):
+            if isinstance(record, Metadata) and record.name == log.CONFIGURATION:
                 said = Config.model_validate_json(record.metadata["json"])
-            elif isinstance(record, Message) and topics[record.channel_id] == log.TICK:
+            elif isinstance(record, Message) and topic == log.TICK:
                 ticks.append(_Tick.model_validate_json(record.data).outputs)
-            elif isinstance(record, Message) and topics[record.channel_id] == log.RAIL:
+            elif isinstance(record, Message) and topic == log.RAIL:
                 reading = live.RAIL.decode(record.data)
                 if math.isfinite(reading.position_m) and math.isfinite(reading.velocity_m_s):
                     seen[reading.t_receive_ns] = reading.position_m, reading.velocity_m_s

@@ -269,7 +269,6 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
         writer = Writer(file)
         writer.start(profile="", library=LIBRARY)
         ids = {channel.topic: register(writer, *channel) for channel in channels()}
-        topics: dict[int, str] = {}
         schemas: dict[int, records.Schema] = {}
         count = 0
 
@@ -278,19 +277,16 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
             count += 1
             writer.add_message(ids[message.topic], message.log_time, message.data, message.publish_time, count)
 
-        for record in mcap_file.records(log.path):
+        for topic, record in mcap_file.records(log.path):
             match record:
                 case records.Schema():
                     schemas[record.id] = record
-                case records.Channel():
-                    topics[record.id] = record.topic
-                    if record.topic not in ids:  # a finished log repeats it at its end
-                        ids[record.topic] = register(writer, *own(record, schemas[record.schema_id]))
+                case records.Channel() if record.topic not in ids:  # a finished log repeats it at its end
+                    ids[record.topic] = register(writer, *own(record, schemas[record.schema_id]))
                 case records.Metadata():
                     writer.add_metadata(record.name, record.metadata)
                 case records.Message():
                     advance()
-                    topic = topics[record.channel_id]
                     try:
                         for message in changing.take(topic, record.log_time, record.publish_time, record.data):
                             put(message)

@@ -32,7 +32,6 @@ class Relay:
         """Create a relay with the SDK's module, which is an extra."""
         self._foxglove, self._context = foxglove, context
         self._schemas: dict[int, Schema] = {}
-        self._topics: dict[int, str] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._converter: Converter | None = None
         self._channels = {one.topic: self._channel(one) for one in converter.channels()}
@@ -42,26 +41,25 @@ class Relay:
         """Return whether every channel exists: the SDK may refuse a channel to a client that connects earlier."""
         return log.CLOCK in self._metadata
 
-    def take(self, record: McapRecord) -> None:
-        """Relay one record to the clients."""
+    def take(self, topic: str, record: McapRecord) -> None:
+        """Relay one record to the clients; a message has a topic."""
         match record:
             case Schema():
                 self._schemas[record.id] = record
             case Channel():
-                self._topics[record.id] = record.topic
                 self._channels[record.topic] = self._channel(converter.own(record, self._schemas[record.schema_id]))
             case Metadata():
                 self._metadata[record.name] = record.metadata
             case Message():
-                for message in self._shown(record):
+                for message in self._shown(topic, record):
                     self._channels[message.topic].log(message.data, log_time=message.log_time)
 
-    def _shown(self, record: Message) -> Iterator[LogMessage]:
+    def _shown(self, topic: str, record: Message) -> Iterator[LogMessage]:
         if self._converter is None:  # the header of a log precedes its messages
             config = Config.model_validate_json(self._metadata[log.CONFIGURATION]["json"])
             offset_ns = int(self._metadata[log.CLOCK]["wall_minus_monotonic_ns"])
             self._converter = Converter(config, offset_ns, REPEAT_S)
-        return self._converter.take(self._topics[record.channel_id], record.log_time, record.publish_time, record.data)
+        return self._converter.take(topic, record.log_time, record.publish_time, record.data)
 
     def _channel(self, one: converter.Channel) -> Any:
         schema = self._foxglove.Schema(name=one.schema_name, encoding="jsonschema", data=one.json_schema)
@@ -78,8 +76,8 @@ def serve(host: str, port: int, source: BinaryIO) -> None:
     context, server = foxglove.Context(), None
     relay = Relay(foxglove, context)
     try:
-        for record in mcap_file.stream(source, RECORD_MAX):
-            relay.take(record)
+        for topic, record in mcap_file.stream(source, RECORD_MAX):
+            relay.take(topic, record)
             if server is None and relay.is_complete:
                 try:
                     server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)

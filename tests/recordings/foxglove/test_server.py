@@ -58,8 +58,8 @@ def test_live_messages_equal_an_export_with_unchanged_scenes_repeated_each_secon
     sdk = Sdk()
     relay = server.Relay(sdk, None)
     with log.path.open("rb") as file:
-        for record in mcap_file.stream(file, server.RECORD_MAX):
-            relay.take(record)
+        for topic, record in mcap_file.stream(file, server.RECORD_MAX):
+            relay.take(topic, record)
     for topic in ("/tf", "/state", "/tick"):
         assert [(at, data) for name, at, data in sdk.sent if name == topic] == [
             (at, data) for at, data in raw(converted, topic)
