@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from softarm.cli.shared.client import Remote, options_for, url_of
-from softarm.cli.shared.console import FILE, Number, given, load_config, token_of, token_option, url_option
+from softarm.cli.shared.console import FILE, Number, given, load_config, token_of, token_option, url_option, write
 from softarm.cli.shared.errors import fail, leaves
 from softarm.common.processes import bar
 
@@ -75,7 +75,8 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
         if found is not None and found.refused is not None:
             fail(f"{url}: {found.refused}; give its token with --token-file")
         if found is not None and not daemon.get("/api/robot")["simulated"]:
-            _check_age(file, found.statuses[-1]["uptime_s"])
+            if file.stat().st_mtime > time.time() - found.statuses[-1]["uptime_s"]:
+                fail(f"{file} has changed since the daemon started with it: restart the daemon first")
             yield Source(
                 lambda: _of_daemon(daemon, config.drivers.rail), time.sleep, time.monotonic_ns, f"daemon at {url}"
             )
@@ -90,11 +91,6 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
             fail("the drive is not homed, so its middle is meaningless: `softarm rail home` first")
         name = f"drive at {settings.host}:{settings.port}; motion capture is not looked at without a daemon"
         yield Source(lambda: Sample(settings.axis_m(drive.poll().position_m)), drive.pause, drive.clock, name)
-
-
-def _check_age(file: Path, uptime_s: float) -> None:
-    if file.stat().st_mtime > time.time() - uptime_s:
-        fail(f"{file} has changed since the daemon started with it: restart the daemon first")
 
 
 def _of_daemon(daemon: Remote, rail: "DryveRail") -> "Sample | None":
@@ -252,8 +248,10 @@ def _enter() -> bool:
     return bool(ready and sys.stdin.readline())
 
 
-def report_centre(found: "Centre", config: "Config", file: Path, write: bool) -> None:
+def report_centre(found: "Centre", config: "Config", file: Path, to_file: bool) -> None:
     """Print the findings and, if requested, write them into the configuration."""
+    from softarm.daemon.config.edit import with_values
+
     for sentence in found.found:
         click.echo(sentence)
     if found.problems:
@@ -270,18 +268,10 @@ def report_centre(found: "Centre", config: "Config", file: Path, write: bool) ->
         click.echo(
             "or motion capture's y axis is the wrong way round: with pressure the arm bends towards -y. Look first."
         )
-    if write:
-        _write(found, file)
-    else:
+    if not to_file:
         click.echo(f"nothing was written; repeat with --write to change {file}")
-
-
-def _write(found: "Centre", file: Path) -> None:
-    from softarm.cli.shared.console import write
-    from softarm.daemon.config.edit import with_values
-
-    text = with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), found.values)
-    write(file, text)
+        return
+    write(file, with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), found.values))
     click.echo(
         f"next: restart the daemon; `softarm doctor --config {file}` shows the distance between axis and cameras"
     )
@@ -352,10 +342,10 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
 @rail.command()
 @config_option
 @click.option("--seconds", type=Number(1, 600), help="Duration of the push (default: until Enter is pressed).")
-@click.option("--write", is_flag=True, help="Write the result into the configuration, keeping its comments.")
+@click.option("--write", "to_file", is_flag=True, help="Write the result into the configuration, keeping its comments.")
 @url_option
 @token_option
-def centre(config_file: Path, seconds: float | None, write: bool, url: str | None, token_file: Path | None) -> None:
+def centre(config_file: Path, seconds: float | None, to_file: bool, url: str | None, token_file: Path | None) -> None:
     """Find the middle of the rail while you push the cart from end to end by hand. The drive does not move it.
 
     With a disarmed daemon of this configuration, motion capture is compared with the axis, too: this shows a wrong
@@ -375,4 +365,4 @@ def centre(config_file: Path, seconds: float | None, write: bool, url: str | Non
         end = "Enter ends it" if seconds is None else f"you have {seconds:g} s"
         click.echo(f"Push the cart by hand, slowly, until it stops at one end, then at the other; {end}. ({seen.name})")
         samples = pushed(seen, seconds)
-    report_centre(judge(samples, config.drivers.rail), config, config_file, write)
+    report_centre(judge(samples, config.drivers.rail), config, config_file, to_file)

@@ -163,15 +163,13 @@ def _refusal(bench: Bench, closed: "Closed") -> str | None:
     assert bench.config_file is not None
     if refused := wires.refusals(closed.rail.config, closed.rail):
         return "; ".join(refused)
-    if bench.yes:
-        click.echo(wires.what_moves(closed.rail.patched, bench.config_file.name, bench.goals), err=True)
-        return None
-    if not sys.stdin.isatty():
+    if not (bench.yes or sys.stdin.isatty()):
         return "not confirmed, since there is no terminal; add --yes"
-    click.echo("\n".join(story.sentences(closed)), err=True)
+    if not bench.yes:
+        click.echo("\n".join(story.sentences(closed)), err=True)
     click.echo(wires.what_moves(closed.rail.patched, bench.config_file.name, bench.goals), err=True)
-    free = click.confirm("Is the area clear, and is a person at the emergency stop?", default=False, err=True)
-    return None if free else "not confirmed"
+    question = "Is the area clear, and is a person at the emergency stop?"
+    return None if bench.yes or click.confirm(question, default=False, err=True) else "not confirmed"
 
 
 def _flown(bench: Bench, closed: "Closed", title: str) -> "Wires":

@@ -135,6 +135,8 @@ def evaluate(**chosen: Any) -> None:
       softarm evaluate reach-robust mine.onnx --faults
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
+    from softarm.evaluation.entries import CEILING
+
     leaves(NOTHING)
     choice = Choice(**chosen)
     choice.check()
@@ -147,7 +149,7 @@ def evaluate(**chosen: Any) -> None:
         worst(choice, found, config)
         return
     wanted = choice.compare_all or choice.matrix or choice.tests or choice.report or choice.leaderboard
-    compared = wanted or _needs_table(found)
+    compared = wanted or len(found) > 1 or found[0].name == CEILING
     if not compared and (wrong := [name for name in typed() if name in ("--workers", "--ray", "--keep")]):
         raise click.UsageError(f"{wrong[0]} goes with a comparison: --all, --test, --report or several policies")
     with failing(ValueError):
@@ -191,12 +193,6 @@ def _entries(choice: Choice, tests: tuple[str, ...], config: "Config") -> "list[
         if not every and not table.jobs([entry], tests):
             raise ValueError(f"{entry.name}: is searched in the test grid alone; add --test grid")
     return found
-
-
-def _needs_table(found: "Sequence[Entry]") -> bool:
-    from softarm.evaluation.entries import CEILING
-
-    return len(found) > 1 or found[0].name == CEILING
 
 
 def _evaluate(choice: Choice, entry: "Entry", config: "Config", model: "Model | None") -> None:

@@ -76,9 +76,10 @@ def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults:
 
     leaves("the simulated robot has ended; a connected daemon stops and reports it")
     config = load_config(config_file)
-    on_wires = [wire_fault(text) for text in faults if "." not in text.partition("=")[0]]
+    of_robot = tuple(text for text in faults if "." in text.partition("=")[0])
+    on_wires = [wire_fault(text) for text in faults if text not in of_robot]
     model = flown_model(model_file)
-    body = faulty_body(model, reality, tuple(text for text in faults if "." in text.partition("=")[0]))
+    body = independent_body(model, of_robot) if reality else simulated_body(model, of_robot)
     # Real devices do not wait for other programs of this computer.
     realtime.outrank_other_programs(config.control.realtime_priority)
     ended = asyncio.run(run_twin(config, body, on_wires, lambda text: click.echo(f"softarm twin: {text}")))
@@ -138,10 +139,8 @@ def independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
         fail(f"--reality: {error}")
 
 
-def faulty_body(model: "Model | None", reality: bool, faults: tuple[str, ...]) -> "Body":
-    """Return the independent or the simulator's robot with faults; end the command if a fault is invalid."""
-    if reality:
-        return independent_body(model, faults)
+def simulated_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
+    """Return the simulator's robot with faults; end the command if a fault is invalid."""
     from softarm.drivers.bodies.simulated import SimulatedBody
     from softarm.evaluation.robots import with_effects
     from softarm.schemas.model import Model

@@ -89,15 +89,11 @@ def incidents(daemon: Remote, name: str | None, out: Path | None, folder: Path |
         _fetch(daemon, folder, found, name, out)
     elif as_json:
         print_json(found)
-    else:
-        _show(found)
-
-
-def _show(found: Json) -> None:
-    if not found["incidents"]:
+    elif not found["incidents"]:
         click.echo(f"no incident files in {found['directory']}: there was no emergency stop", err=True)
-    for one in found["incidents"]:
-        click.echo(f"{clock(one['time'])}  {one['bytes'] / 1e6:6.1f} MB  {one['name']}  {one['text']}")
+    else:
+        for one in found["incidents"]:
+            click.echo(f"{clock(one['time'])}  {one['bytes'] / 1e6:6.1f} MB  {one['name']}  {one['text']}")
 
 
 def _listed(folder: Path) -> Json:

@@ -1,5 +1,6 @@
 """`softarm doctor`: check this computer before a flight and print the remedy for each problem."""
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,6 +54,7 @@ def doctor(
       softarm doctor --simulated                for `softarm run --simulated`
       softarm doctor --json > doctor.json
     """
+    from softarm.common.finding import State
     from softarm.daemon.doctor import examination, running
 
     config, mistakes = examination.configuration(config_file, wires=not simulated)
@@ -63,17 +65,18 @@ def doctor(
         raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
     target = examination.Target(config_file, config, mistakes, url, daemon, simulated, folder)
     found = _examine(target, quiet=as_json)
-    problems = sum(each.state == "problem" for several in found.values() for each in several)
+    states = Counter(each.state for several in found.values() for each in several)
+    problems, warnings = states[State.PROBLEM], states[State.WARNING]
     if as_json:
-        fields = ("name", "state", "figure", "advice")
         findings = [
-            {"part": part} | {name: getattr(each, name) for name in fields}
+            {"part": part, "name": each.name, "state": each.state, "figure": each.figure, "advice": each.advice}
             for part, several in found.items()
             for each in several
         ]
         print_json({"sound": problems == 0, "findings": findings})
     else:
-        _print_summary(found, problems)
+        counted = f"{problems} problem{'s' * (problems != 1)}, {warnings} warning{'s' * (warnings != 1)}"
+        click.echo(f"\n{counted}: " + ("not ready to fly" if problems else "ready to fly"))
     if problems:
         raise SystemExit(1)
 
@@ -100,9 +103,3 @@ def _print_part(part: str, findings: "list[Finding]") -> None:
         click.echo(f"  {state} {each.name}: {each.figure}")
         if each.advice:
             click.echo(f"           {'-> ' if each.state != 'ok' else ''}{each.advice}")
-
-
-def _print_summary(found: "dict[str, list[Finding]]", problems: int) -> None:
-    warnings = sum(each.state == "warning" for several in found.values() for each in several)
-    counted = f"{problems} problem{'s' * (problems != 1)}, {warnings} warning{'s' * (warnings != 1)}"
-    click.echo(f"\n{counted}: " + ("not ready to fly" if problems else "ready to fly"))

@@ -107,7 +107,9 @@ class Remote:
         if response.status_code == 401:
             fail(f"the daemon at {self.url} requires a valid token: give it with --token-file FILE or $SOFTARM_TOKEN")
         if response.is_error:
-            fail(_detail(self._parsed(response)) or f"{method} {path}: HTTP {response.status_code}")
+            answer = self._parsed(response)
+            detail = answer.get("detail") if isinstance(answer, dict) else None
+            fail(detail if detail and isinstance(detail, str) else f"{method} {path}: HTTP {response.status_code}")
         return response
 
     def _parsed(self, response: httpx.Response) -> Any:
@@ -115,11 +117,6 @@ class Remote:
             return response.json()
         except ValueError:
             fail(f"{self.url} does not answer as a softarm daemon: another program may use this port")
-
-
-def _detail(answer: object) -> str | None:
-    detail = answer.get("detail") if isinstance(answer, dict) else None
-    return detail if isinstance(detail, str) else None
 
 
 def remote(function: Callable[..., None]) -> Callable[..., None]:
