@@ -104,7 +104,14 @@ def fly(policy: Policy, robot: Robot, wanted: Sequence[Scenario], config: Config
             first = Flown(scenario, flight, frames)
             break
     assert first is not None, "there is at least one scenario"
-    _check_shown(first)
+    goal, refusal, ticks_flown = first.scenario.goal, first.flight.refusal, first.flight.ticks
+    if refusal is not None:
+        raise PolicyError(f"--film: the policy has no answer for the target ({goal.y_m:g}, {goal.z_m:g}): {refusal}")
+    if ticks_flown > LONGEST_S * CONTROL_RATE_HZ:
+        raise ValueError(
+            f"--film: the flight lasts {ticks_flown / CONTROL_RATE_HZ:.0f} s; allowed up to {LONGEST_S:g} s: "
+            "lower goals.time_limit_s, or choose another --target"
+        )
     return first
 
 
@@ -133,18 +140,6 @@ def sentence(name: str, flown: Flown) -> str:
     closest = "" if status.closest_m is None else f", closest {1e3 * status.closest_m:.0f} mm"
     result = "reached" if flown.flight.reached else "missed"
     return f"film: {name}, target y {goal.y_m:g}, z {goal.z_m:g} m {result} in {status.time_s:.1f} s{closest}"
-
-
-def _check_shown(flown: Flown) -> None:
-    """Raise the error of a flight that cannot be shown."""
-    goal, refusal, ticks = flown.scenario.goal, flown.flight.refusal, flown.flight.ticks
-    if refusal is not None:
-        raise PolicyError(f"--film: the policy has no answer for the target ({goal.y_m:g}, {goal.z_m:g}): {refusal}")
-    if ticks > LONGEST_S * CONTROL_RATE_HZ:
-        raise ValueError(
-            f"--film: the flight lasts {ticks / CONTROL_RATE_HZ:.0f} s; allowed up to {LONGEST_S:g} s: "
-            "lower goals.time_limit_s, or choose another --target"
-        )
 
 
 def _pictures(name: str, flown: Flown, model: Model, radius_m: float) -> Iterator[Pixels]:

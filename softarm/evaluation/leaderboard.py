@@ -1,6 +1,5 @@
 """The leaderboard: a file of results that others extend and reproduce."""
 
-import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -93,11 +92,6 @@ def merged(board: Board, new: Sequence[Row]) -> tuple[Board, list[str], bool]:
         sentences.append(f"{row.name}: {'NOT reproduced: ' + '; '.join(said) if said else how}")
     entries.sort(key=lambda row: -(row.results[RANKED]["share"] or 0.0) if RANKED in row.results else 1.0)
     return Board(entries=tuple(entries)), sentences, same
-
-
-def text(board: Board) -> str:
-    """Return the content of the file of a leaderboard."""
-    return json.dumps(board.model_dump(mode="json"), indent=1) + "\n"
 
 
 def markdown(board: Board) -> str:

@@ -242,7 +242,7 @@ def _rank(file: Path, rows: "list[Row]") -> None:
     board, sentences, same = leaderboard.merged(before, rows)
     click.echo("\n".join(sentences))
     if board != before:
-        write(file, leaderboard.text(board))
+        write_json(file, board.model_dump(mode="json"))
     if not same:
         fail(f"{file}: not every entry was reproduced; check revision and configuration")
 

@@ -10,7 +10,6 @@ from softarm.cli.shared.completion import policies
 from softarm.cli.shared.console import FILE, load_config, print_json, print_option, waiting
 from softarm.cli.shared.errors import Unreachable
 
-Json = dict[str, Any]
 LOADING_S = 125.0  # the daemon stops loading a policy after 120 s
 
 
@@ -55,7 +54,7 @@ def list_(daemon: Remote, config_file: Path | None, as_json: bool) -> None:
         click.echo(f"{mark} {entry['name']:<{width}}  {entry['description']}{target}")
 
 
-def _here(config_file: Path | None) -> Json:
+def _here(config_file: Path | None) -> dict[str, Any]:
     """Return the list that a daemon with this configuration would give; its initial policy is the active one."""
     from softarm.daemon.api.endpoints.policies import policy_answer
     from softarm.policies import registry

@@ -2,9 +2,9 @@
 
 import os
 import resource
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,11 +35,8 @@ class Scheduling:
 
 def look(priority: int, seconds: float = MEASURED_S) -> Scheduling:
     """Measure for some seconds in a separate, mostly sleeping thread."""
-    measured: list[tuple[bool, tuple[float, ...]]] = []
-    thread = threading.Thread(target=lambda: measured.append(_lateness(priority, seconds)))
-    thread.start()
-    thread.join()
-    granted, late_ms = measured[0]
+    with ThreadPoolExecutor(1) as separate:
+        granted, late_ms = separate.submit(_lateness, priority, seconds).result()
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     unlimited = soft == resource.RLIM_INFINITY or os.geteuid() == 0
     governors = (path.read_text().strip() for path in Path("/").glob(GOVERNORS.lstrip("/")))

@@ -51,15 +51,12 @@ def frames(frame: MocapFrame, ns: int) -> Json:
 
 def robot(config: Config, ns: int) -> Json:
     """Return foxglove.SceneUpdate of rail, cart, links and tip, which move with their frames."""
-    soft, arm = config.limits.rail, Arm()
+    soft_m, arm = (config.limits.rail.position_min_m, config.limits.rail.position_max_m), Arm()
     walls = [
-        *(_box((0.0, y, 0.0), (WALL_M, 0.004, WALL_M), LIMIT) for y in (soft.position_min_m, soft.position_max_m)),
+        *(_box((0.0, y, 0.0), (WALL_M, 0.004, WALL_M), LIMIT) for y in soft_m),
         *(_box((0.0, y, 0.0), (WALL_M, 0.008, WALL_M), STOP) for y in (-RAIL_TRAVEL_M, RAIL_TRAVEL_M)),
     ]
-    names = [
-        _text((0.0, soft.position_min_m, 0.10), f"soft limit {soft.position_min_m:g} m"),
-        _text((0.0, soft.position_max_m, 0.10), f"soft limit {soft.position_max_m:g} m"),
-    ]
+    names = [_text((0.0, y, 0.10), f"soft limit {y:g} m") for y in soft_m]
     beam = _box((0.0, 0.0, 0.03), (RAIL_M, 2 * RAIL_TRAVEL_M, RAIL_M), GREY)
     tip = BODY_NAMES[-1]
     return _update(
