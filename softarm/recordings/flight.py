@@ -14,8 +14,8 @@ from softarm.recordings import live, mcap_file
 from softarm.schemas import log
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
-from softarm.schemas.flights import SHELF_MIDDLE_M
-from softarm.schemas.goals import GoalStatus
+from softarm.schemas.flights import SHELF_MIDDLE_M, Scenario
+from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, Command, MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
@@ -191,12 +191,12 @@ def first_stamp_ns(path: Path) -> int:
     raise nothing_in(path)
 
 
-def shelf_depth_m(policy: str, config: Config) -> float | None:
-    """Return the distance of a policy's targets behind the front edge of the shelf, or None without a shelf."""
+def shelf_m(goal: Goal, policy: str, config: Config) -> tuple[float, float] | None:
+    """Return y of the front edge and z of the lower board of a policy's shelf, m, or None without a shelf."""
     made = config.policies.get(policy)
     options = made.options if made else {"model": policy}
     depth_m = options.get("target_depth_m", SHELF_MIDDLE_M if options.get("model") == "shelf" else None)
-    return None if depth_m is None else float(depth_m)
+    return Scenario(goal, 0.0, depth_m=None if depth_m is None else float(depth_m)).shelf_m
 
 
 def wall_minus_monotonic_ns(path: Path, metadata: log.Metadata) -> int:

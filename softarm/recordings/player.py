@@ -17,7 +17,6 @@ from softarm.reporting.markup import Html, el, join, prose, tiles
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
-from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Arm
 from softarm.schemas.robot import RAIL_TRAVEL_M
@@ -154,8 +153,8 @@ def _goal(moment: Moment, config: Config) -> tuple[Any, ...]:
         return 0, "", "", None, None
     if not (math.isfinite(goal.y_m) and math.isfinite(goal.z_m)):
         return status.number, goal.kind, status.state, None, None
-    depth_m = flight.shelf_depth_m(out.policy, config)
-    shelf = None if depth_m is None else (round(goal.y_m + depth_m, 4), round(goal.z_m - BOARD_BELOW_M, 4))
+    shelf_m = flight.shelf_m(goal, out.policy, config)
+    shelf = None if shelf_m is None else (round(shelf_m[0], 4), round(shelf_m[1], 4))
     return status.number, goal.kind, status.state, (goal.y_m, goal.z_m), shelf
 
 

@@ -11,7 +11,6 @@ from softarm.recordings import flight
 from softarm.reporting.arm import RADII_M
 from softarm.reporting.colours import LIGHT, on_any_ground, rgb
 from softarm.schemas.config import Config
-from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.goals import GoalStatus
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
 from softarm.schemas.model import Arm
@@ -94,11 +93,10 @@ def shelf(status: GoalStatus, policy: str, config: Config, ns: int) -> Json:
 
     The policy and not the goal determines whether there is a shelf.
     """
-    goal, depth_m = status.goal, flight.shelf_depth_m(policy, config)
-    if goal is None or depth_m is None or not math.isfinite(goal.y_m):
+    shelf_m = None if status.goal is None else flight.shelf_m(status.goal, policy, config)
+    if shelf_m is None or not math.isfinite(shelf_m[0]):
         return _update(ns)
-    edge_m, thick_m = goal.y_m + depth_m, BOARD_M[2]
-    middle = (0.0, edge_m - BOARD_M[1] / 2, goal.z_m - BOARD_BELOW_M - thick_m / 2)
+    middle = (0.0, shelf_m[0] - BOARD_M[1] / 2, shelf_m[1] - BOARD_M[2] / 2)
     return _update(ns, _entity(ns, WORLD, "shelf", cubes=[_box(middle, BOARD_M, WOOD)]))
 
 
