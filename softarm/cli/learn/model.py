@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.console import FILE, load_model, print_table, write
+from softarm.cli.shared.console import FILE, WIDE, load_model, print_table, write
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
 
 MODEL = click.Path(path_type=Path)
-WIDTH = 160  # of tables without a terminal
 
 
 @click.group()
@@ -42,9 +41,9 @@ def show(name: Path) -> None:
     loaded = load_model(name)
     columns = ("parameter", "value", "unit", "allowed", "source of the seed value")
     rows = [(row.key, row.value, *row[2:]) for row in robot_rows(loaded)]
-    print_table(columns, rows, f"{name}: robot", WIDTH)
+    print_table(columns, rows, f"{name}: robot", WIDE)
     rows = [(row.key, row.value, *row[2:]) for row in effect_rows(loaded)]
-    print_table(("effect.parameter", "value", "unit", "allowed", "source"), rows, f"{name}: effects", WIDTH)
+    print_table(("effect.parameter", "value", "unit", "allowed", "source"), rows, f"{name}: effects", WIDE)
     click.echo(_idle(loaded), nl=False)
 
 
@@ -64,7 +63,7 @@ def diff(one: Path, other: Path) -> None:
     if not found:
         click.echo("no difference")
         return
-    print_table(("parameter", "unit", str(one), str(other)), found, width=WIDTH)
+    print_table(("parameter", "unit", str(one), str(other)), found, width=WIDE)
 
 
 @model.command()

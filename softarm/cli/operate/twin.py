@@ -9,6 +9,7 @@ import click
 from softarm.cli.shared import completion
 from softarm.cli.shared.console import (
     FILE,
+    WIDE,
     flown_model,
     load_config,
     model_option,
@@ -119,9 +120,6 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
         click.echo(f"active faults: {', '.join(state['faults']) or 'none'}")
 
 
-WIDTH = 160  # of tables where there is no terminal
-
-
 def independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
     """Return the independent robot; end the command with a sentence if MuJoCo is missing or a fault is invalid."""
     try:
@@ -164,11 +162,11 @@ def list_faults(reality: bool | None) -> None:
     from softarm.drivers.twin.faults import described
 
     columns = ("fault", "VALUE", "meaning")
-    print_table(columns, described(), "faults of the wires", WIDTH)
+    print_table(columns, described(), "faults of the wires", WIDE)
     if reality:
-        print_table(columns, _independent(), "faults of the independent robot (--reality)", WIDTH)
+        print_table(columns, _independent(), "faults of the independent robot (--reality)", WIDE)
     elif reality is not None:
-        print_table(columns, _simulated(), "faults of the simulated robot", WIDTH)
+        print_table(columns, _simulated(), "faults of the simulated robot", WIDE)
 
 
 def _independent() -> list[tuple[str, str, str]]:

@@ -4,10 +4,8 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.console import FILE, print_json, print_option, print_table, write
+from softarm.cli.shared.console import FILE, WIDE, print_json, print_option, print_table, write
 from softarm.cli.shared.errors import fail
-
-WIDTH = 160  # of the table where there is no terminal
 
 
 @click.group()
@@ -73,4 +71,4 @@ def units(part: str, as_json: bool) -> None:
     if as_json:
         print_json([row._asdict() for row in found])
     else:
-        print_table(("key", "unit", "allowed", "default", "meaning"), found, width=WIDTH)
+        print_table(("key", "unit", "allowed", "default", "meaning"), found, width=WIDE)

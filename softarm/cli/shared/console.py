@@ -170,7 +170,7 @@ def token_of(file: Path | None) -> str | None:
     return token
 
 
-WIDTH = 80  # where there is no terminal
+WIDTH, WIDE = 80, 160  # of tables without a terminal; wide: with sentences
 NO_VALUE = "-"
 PATIENCE_S = 2.0  # a wait longer than this is announced
 
