@@ -41,9 +41,9 @@ def el(tag: str, *children: Child, **attributes: object) -> Html:
     return Html(f"<{tag}{given}>{join(children)}</{tag}>")
 
 
-def join(children: Iterable[Child], between: str = "") -> Html:
+def join(children: Iterable[Child]) -> Html:
     """Join markup and texts; texts are escaped."""
-    return Html(between.join(child if isinstance(child, Html) else escape(child) for child in children))
+    return Html("".join(child if isinstance(child, Html) else escape(child) for child in children))
 
 
 def prose(text: str) -> Html:

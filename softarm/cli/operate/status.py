@@ -14,6 +14,7 @@ from softarm.cli.shared.console import clock, print_json
 from softarm.schemas.policy import OBSERVATION
 
 Json = dict[str, Any]
+WATCH_S = 0.2  # interval of --watch
 
 
 @click.command()
@@ -32,18 +33,14 @@ def status(daemon: Remote, watch: bool, as_json: bool) -> None:
     if watch and as_json:
         raise click.UsageError("--watch shows lines for a person, --json one answer for a script: omit one")
     if watch:
-        _watch(daemon)
+        with Live(console=Console(), auto_refresh=False) as live:
+            while True:
+                live.update(Text("\n".join(lines(daemon.get("/api/status")))), refresh=True)
+                time.sleep(WATCH_S)
     elif as_json:
         print_json(daemon.get("/api/status"))
     else:
         click.echo("\n".join(lines(daemon.get("/api/status"))))
-
-
-def _watch(daemon: Remote, interval_s: float = 0.2) -> None:
-    with Live(console=Console(), auto_refresh=False) as live:
-        while True:
-            live.update(Text("\n".join(lines(daemon.get("/api/status")))), refresh=True)
-            time.sleep(interval_s)
 
 
 def lines(now: Json) -> Iterator[str]:
