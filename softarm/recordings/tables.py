@@ -35,8 +35,12 @@ def write(path: Path, table: Table) -> None:
     """
     if path.suffix == ".parquet":
         write_arrow(path, arrow(table))
-    else:
-        files.write_bytes(path, _csv(table))
+        return
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*(_cells(column) for column in table.values()), strict=True))
+    files.write_text(path, text.getvalue())
 
 
 def write_arrow(path: Path, table: Any) -> None:
@@ -94,14 +98,6 @@ def events(log: LogFile, entries: Sequence[Entry]) -> Table:
 
 def _instants(stamps_ns: Sequence[int], offset_ns: int) -> NDArray[np.datetime64]:
     return (np.array(stamps_ns, dtype=np.int64) + offset_ns).astype("datetime64[ns]")
-
-
-def _csv(table: Table) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*(_cells(column) for column in table.values()), strict=True))
-    return text.getvalue().encode()
 
 
 def _cells(column: Sequence[Any] | NDArray[Any]) -> list[Any]:

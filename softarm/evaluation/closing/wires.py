@@ -60,8 +60,7 @@ class Wires:
     @classmethod
     def unflown(cls, title: str, why: str) -> Self:
         """Return a result without flights, with the reason."""
-        nothing = Flights(np.zeros(0, dtype=np.bool_), (), np.zeros(0, dtype=np.int_))
-        return cls(title, False, {(key, manner): nothing for key in NAMES for manner in MANNERS}, None, why)
+        return cls(title, False, {(key, manner): joined(()) for key in NAMES for manner in MANNERS}, None, why)
 
     @property
     def flights(self) -> int:
