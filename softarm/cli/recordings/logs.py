@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from itertools import chain, product
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,7 +15,7 @@ from softarm.cli.recordings.events import show_event
 from softarm.cli.shared import completion
 from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.console import FILE, FOLDER, print_json, print_option, waiting, write
-from softarm.cli.shared.errors import fail, leaves
+from softarm.cli.shared.errors import fail, failing, leaves
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -190,44 +190,35 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
     """
     from softarm.daemon.logbook import logs as recordings
 
-    if to == "lerobot":
-        _lerobot(files, out)
-        return
     stems = [file.stem for file in files]
-    if twice := [file for file in files if stems.count(file.stem) > 1]:
+    if to != "lerobot" and (twice := [file for file in files if stems.count(file.stem) > 1]):
         raise click.UsageError(
             f"{' and '.join(map(str, twice))} have one name, which also names the export; allowed "
             "is each name once; export them one by one with different --out"
         )
-    for file in files:
-        try:
+    try:
+        if to == "lerobot":
+            click.echo(_lerobot(files, out))
+            return
+        for file in files:
             log = recordings.read(file)
             out.mkdir(parents=True, exist_ok=True)
             if to == "foxglove":
                 click.echo(_foxglove(log, out))
             else:
                 click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
-        except ModuleNotFoundError as error:
-            _fail_without(error, to)
+    except ModuleNotFoundError as error:
+        fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
 
 
-def _fail_without(error: ModuleNotFoundError, to: str) -> NoReturn:
-    fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
-
-
-def _lerobot(logs: tuple[Path, ...], out: Path) -> None:
-    """Write one dataset of all logs."""
+def _lerobot(logs: tuple[Path, ...], out: Path) -> str:
+    """Write one dataset of all logs and return a sentence about it."""
     from softarm.recordings import lerobot
 
-    try:
-        with waiting("reading the logs"):
-            made = lerobot.write(out, (episode for log in logs for episode in lerobot.episodes(log)))
-    except ValueError as error:
-        fail(str(error))
-    except ModuleNotFoundError as error:
-        _fail_without(error, "lerobot")
+    with failing(ValueError), waiting("reading the logs"):
+        made = lerobot.write(out, (episode for log in logs for episode in lerobot.episodes(log)))
     left_out = f"; {made.left_out} incomplete goals left out" if made.left_out else ""
-    click.echo(f"wrote {out}: {made.episodes} episodes ({made.reached} reached), {made.frames} frames{left_out}")
+    return f"wrote {out}: {made.episodes} episodes ({made.reached} reached), {made.frames} frames{left_out}"
 
 
 def _tables(log: "TickLog", folder: Path, form: "Form") -> str:
