@@ -5,10 +5,9 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.diagnosis.describe.joints import ModelJoint
+from tests.cli.invoke import invoke
 from validation.mechanisms.record import ROBOTS, Truth, record
 
 
@@ -22,18 +21,27 @@ def drone():
     return record(ROBOTS["drone"], Truth({}), "multisine", 1.0, np.random.default_rng(1))
 
 
-def described(folder, columns, names, *options):
+def new_rig(folder, model, columns):
+    """Write columns as a table, describe it with the model, and return the result and the text of the stage file."""
+    data, out = folder / "run-1.csv", folder / "stage.yaml"
+    table = np.stack([*columns.values()], axis=1)
+    np.savetxt(data, table, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    result = invoke("new", "rig", model, data, "--out", out)
+    return result, (out.read_text() if out.exists() else "")
+
+
+def channels_of(folder, model, columns):
+    """Return the channels of the stage file that is written for a table and a model, and its text."""
+    result, text = new_rig(folder, model, columns)
+    assert result.exit_code == 0, result.output
+    return yaml.safe_load(text)["channels"], text
+
+
+def described(folder, columns, names):
     """Write a table with renamed columns beside the model, and describe both."""
-    shutil.copy(ROBOTS["camera"].model, folder / "camera.xml")
-    table = np.stack([columns[old] * scale for old, _, scale in names], axis=1)
-    header = ",".join(new for _, new, _ in names)
-    np.savetxt(folder / "run-1.csv", table, delimiter=",", header=header, comments="", fmt="%.6f")
-    out = folder / "stage.yaml"
-    data = ["camera.xml", "run-1.csv"]
-    result = CliRunner().invoke(
-        main, ["new", "rig", *(str(folder / each) for each in data), "--out", str(out), *options]
-    )
-    return result, (yaml.safe_load(out.read_text()) if out.exists() else None)
+    model = shutil.copy(ROBOTS["camera"].model, folder / "camera.xml")
+    result, text = new_rig(folder, model, {new: columns[old] * scale for old, new, scale in names})
+    return result, yaml.safe_load(text)
 
 
 USUAL = [
@@ -121,23 +129,18 @@ def test_measured_joints_without_any_command_are_an_error_that_names_their_actua
 
 def test_a_joint_whose_name_ends_like_a_unit_is_found(tmp_path, columns):
     """Spot's knees are called fl_kn, and kN is a unit."""
-    model, data = tmp_path / "spot.xml", tmp_path / "run-1.csv"
+    model = tmp_path / "spot.xml"
     model.write_text(ROBOTS["camera"].model.read_text().replace('"tilt"', '"fl_kn"'))
-    header = ",".join(new.replace("tilt", "fl_kn") for _, new, _ in USUAL)
-    table = np.stack([columns[old] for old, _, _ in USUAL], axis=1)
-    np.savetxt(data, table, delimiter=",", header=header, comments="")
-    out = tmp_path / "stage.yaml"
-    result = CliRunner().invoke(main, ["new", "rig", str(model), str(data), "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    use = yaml.safe_load(out.read_text())["channels"]["measured"]["columns"]["fl_kn"]
-    assert use == {"source": "fl_kn", "unit": "rad"}
-    assert "Not used" not in out.read_text()
+    table = {new.replace("tilt", "fl_kn"): columns[old] for old, new, _ in USUAL}
+    channels, text = channels_of(tmp_path, model, table)
+    assert channels["measured"]["columns"]["fl_kn"] == {"source": "fl_kn", "unit": "rad"}
+    assert "Not used" not in text
 
 
 def test_two_models_are_refused(tmp_path):
     for name in ("a.xml", "b.xml"):
         shutil.copy(ROBOTS["camera"].model, tmp_path / name)
-    result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "a.xml"), str(tmp_path / "b.xml")])
+    result = invoke("new", "rig", tmp_path / "a.xml", tmp_path / "b.xml")
     assert result.exit_code == 2
     assert "allowed is one model" in result.output
 
@@ -157,13 +160,8 @@ def test_joints_that_follow_and_poses_are_under_base(tmp_path, drone, robot, bas
     columns = drone
     if robot != "drone":
         columns = record(ROBOTS[robot], Truth({}), "multisine", 1.0, np.random.default_rng(1))
-    header, table = ",".join(name.removeprefix("q_") for name in columns), np.stack([*columns.values()], axis=1)
-    np.savetxt(tmp_path / "run-1.csv", table, delimiter=",", header=header, comments="")
-    out, arguments = tmp_path / "stage.yaml", [str(ROBOTS[robot].model), str(tmp_path / "run-1.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *arguments, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    text = out.read_text()
-    channels = yaml.safe_load(text)["channels"]
+    table = {name.removeprefix("q_"): values for name, values in columns.items()}
+    channels, text = channels_of(tmp_path, ROBOTS[robot].model, table)
     assert set(channels["base"]["columns"]) == base
     assert set(channels["measured"]["columns"]) == measured
     assert "counts as free" not in text
@@ -182,14 +180,10 @@ def test_joints_that_follow_and_poses_are_under_base(tmp_path, drone, robot, bas
 def test_the_only_pose_of_a_recording_is_that_of_the_only_floating_body(tmp_path, drone, place, turn):
     names = {f"hull_{axis}": place.format(axis) for axis in "xyz"}
     names |= {f"hull_q{axis}": turn.format(axis) for axis in "wxyz"}
-    header = ",".join(names.get(name, name.removeprefix("q_")) for name in drone)
-    np.savetxt(tmp_path / "run-1.csv", np.stack([*drone.values()], axis=1), delimiter=",", header=header, comments="")
-    out, arguments = tmp_path / "stage.yaml", [str(ROBOTS["drone"].model), str(tmp_path / "run-1.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *arguments, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    base = yaml.safe_load(out.read_text())["channels"]["base"]["columns"]
-    assert {name: use["source"] for name, use in base.items()} == names
-    assert "the only pose in the recordings counts as that of hull" in " ".join(out.read_text().split())
+    table = {names.get(name, name.removeprefix("q_")): values for name, values in drone.items()}
+    channels, text = channels_of(tmp_path, ROBOTS["drone"].model, table)
+    assert {name: use["source"] for name, use in channels["base"]["columns"].items()} == names
+    assert "the only pose in the recordings counts as that of hull" in " ".join(text.split())
 
 
 @pytest.mark.parametrize(
@@ -204,15 +198,12 @@ def test_the_only_pose_of_a_recording_is_that_of_the_only_floating_body(tmp_path
 def test_a_command_has_the_unit_of_its_actuator(tmp_path, actuator, unit):
     """Grippers often take 0 to 255 for their whole range, geared motors -1 to 1: no degrees, and no torque."""
     body = '<body><joint name="finger" range="0 0.8"/><geom size="0.1"/></body>'
-    model, out = tmp_path / "gripper.xml", tmp_path / "stage.yaml"
+    model = tmp_path / "gripper.xml"
     servo = actuator.format('name="grip" joint="finger"')
     model.write_text(f"<mujoco><worldbody>{body}</worldbody><actuator>{servo}</actuator></mujoco>")
     t = np.arange(0, 5, 0.02)
-    table = np.stack([t, 3 * np.sin(t), 0.3 + 0.15 * np.sin(t - 0.1)], axis=1)
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,grip,finger", comments="")
-    result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
-    assert out.exists(), result.output
-    assert yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["grip"]["unit"] == unit
+    _, text = new_rig(tmp_path, model, {"t": t, "grip": 3 * np.sin(t), "finger": 0.3 + 0.15 * np.sin(t - 0.1)})
+    assert yaml.safe_load(text)["channels"]["command"]["columns"]["grip"]["unit"] == unit
 
 
 @pytest.mark.parametrize("encoder", ["encoder_1", "marker_qx"])
@@ -221,7 +212,7 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
 
     A name may begin as another one does.
     """
-    model, out = tmp_path / "arm.xml", tmp_path / "stage.yaml"
+    model = tmp_path / "arm.xml"
     link = '<body pos="0 0 -1"><joint name="{0}" range="-90 90"/><geom size="0.1"/><site name="{0}_mark"/>{1}</body>'
     model.write_text(
         f"<mujoco><worldbody>{link.format('upper', link.format('lower', ''))}</worldbody>"
@@ -232,12 +223,9 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
         "</sensor></mujoco>"
     )
     t = np.arange(0, 5, 0.02)
-    moved = [t, 0.5 * np.sin(t), *(0.5 * np.sin(t - phase) for phase in (0.1, 0.2, 0.3, 0.4, 0.5))]
-    header = f"t,servo,{encoder},marker_x,marker_y,marker_z,apart_x"
-    np.savetxt(tmp_path / "run.csv", np.stack(moved, axis=1), delimiter=",", header=header, comments="")
-    result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
-    assert out.exists(), result.output
-    channels = yaml.safe_load(out.read_text())["channels"]
+    names = ("servo", encoder, "marker_x", "marker_y", "marker_z", "apart_x")
+    table = {"t": t} | {name: 0.5 * np.sin(t - 0.1 * place) for place, name in enumerate(names)}
+    channels = yaml.safe_load(new_rig(tmp_path, model, table)[1])["channels"]
     assert {name: use["source"] for name, use in channels["measured"]["columns"].items()} == {"upper": encoder}
     assert {name: use["source"] for name, use in channels["mocap"]["columns"].items()} == {
         f"lower_mark_{axis}": f"marker_{axis}" for axis in "xyz"
@@ -245,28 +233,24 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
 
 
 @pytest.mark.parametrize(
-    ("actuator", "header", "torque"),
+    ("actuator", "angle", "torque"),
     [
-        ('<position name="servo" joint="upper" kp="20"/>', "upper/position,upper/effort", "upper/effort"),
-        ("", "upper_rad,upper_tau_Nm", "upper_tau_Nm"),
-        ('<motor name="servo" joint="upper"/>', "upper,load_cell", "load_cell"),  # by the name of the model's sensor
+        ('<position name="servo" joint="upper" kp="20"/>', "upper/position", "upper/effort"),
+        ("", "upper_rad", "upper_tau_Nm"),
+        ('<motor name="servo" joint="upper"/>', "upper", "load_cell"),  # by the name of the model's sensor
     ],
 )
-def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, header, torque):
+def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, angle, torque):
     """A robot's joint states have efforts more often than a log has the commands of its drives."""
-    model, out = tmp_path / "arm.xml", tmp_path / "stage.yaml"
+    model = tmp_path / "arm.xml"
     model.write_text(
         '<mujoco><worldbody><body><joint name="upper" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
         f"</worldbody><actuator>{actuator}</actuator>"
         '<sensor><jointactuatorfrc name="load_cell" joint="upper"/></sensor></mujoco>'
     )
     t = np.arange(0, 5, 0.02)
-    table = np.stack((t, 0.5 * np.sin(t), np.cos(3 * t)), axis=1)
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=f"t,{header}", comments="")
-    result = CliRunner().invoke(main, ["new", "rig", str(model), str(tmp_path / "run.csv"), "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    channels = yaml.safe_load(out.read_text())["channels"]
+    channels, text = channels_of(tmp_path, model, {"t": t, angle: 0.5 * np.sin(t), torque: np.cos(3 * t)})
     assert channels.keys() == {"measured", "torque"}
     upper = channels["torque"]["columns"]["upper"]
     assert (upper["source"], upper["unit"].replace(" ", "")) == (torque, "Nm")
-    assert "counts as free" not in out.read_text()
+    assert "counts as free" not in text
