@@ -6,15 +6,14 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from softarm.cli.main import main
 from softarm.diagnosis.data import bags, tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.recordings.live import LIBRARY
+from tests.cli.invoke import invoke
 from validation.mechanisms.record import ROBOTS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -87,10 +86,8 @@ def test_a_joint_that_some_messages_lack_has_no_value_there(tmp_path):
 def test_arrays_have_indices_frames_have_names_and_images_are_left_out(tmp_path):
     layout = message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     command = message("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array([1.5, 2.5]))
-    vector, turn = (
-        message("geometry_msgs/msg/Vector3", x=0.1, y=0.2, z=0.3),
-        message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-    )
+    vector = message("geometry_msgs/msg/Vector3", x=0.1, y=0.2, z=0.3)
+    turn = message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
     frames = message(
         "tf2_msgs/msg/TFMessage",
         transforms=[
@@ -149,8 +146,7 @@ def test_a_damaged_bag_is_an_error_with_its_file(tmp_path):
     camera(tmp_path / "run")
     whole = (tmp_path / "run" / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(whole[: len(whole) // 2])
-    shutil.copy(ROBOTS["camera"].model, tmp_path / "camera.xml")
-    result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "stage.yaml")])
+    result = invoke("new", "rig", tmp_path / "run.mcap", "--out", tmp_path / "stage.yaml")
     assert result.exit_code == 1
     assert "run.mcap: cannot be read" in result.output
 
@@ -158,8 +154,7 @@ def test_a_damaged_bag_is_an_error_with_its_file(tmp_path):
 def test_a_bag_and_a_model_make_a_stage_file_that_reads(tmp_path):
     shutil.copy(ROBOTS["camera"].model, tmp_path / "camera.xml")
     camera(tmp_path / "bags" / "sweep-1")
-    inputs = [str(tmp_path / "camera.xml"), str(tmp_path / "bags")]
-    result = CliRunner().invoke(main, ["new", "rig", *inputs, "--out", str(tmp_path / "stage.yaml")])
+    result = invoke("new", "rig", tmp_path / "camera.xml", tmp_path / "bags", "--out", tmp_path / "stage.yaml")
     assert result.exit_code == 0, result.output
     stage = yaml.safe_load((tmp_path / "stage.yaml").read_text())
     assert stage["channels"]["command"]["columns"]["pan_drive"]["source"] == "/joint_commands/pan/position"

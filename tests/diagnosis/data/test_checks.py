@@ -52,12 +52,9 @@ def channels(record):
     return record("both").channels
 
 
-def test_correct_units_give_no_warning(channels):
-    assert checks.unit_warnings(channels, "trial") == ()
-
-
-def test_a_muscle_at_rest_is_not_mistaken_for_bar(record):
-    assert checks.unit_warnings(record("rail-multisine").channels, "trial") == ()
+@pytest.mark.parametrize("kind", ["both", "rail-multisine"], ids=["in motion", "with a muscle at rest"])
+def test_correct_units_give_no_warning(record, kind):
+    assert checks.unit_warnings(record(kind).channels, "trial") == ()
 
 
 @pytest.mark.parametrize(

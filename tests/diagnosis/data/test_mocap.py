@@ -8,15 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from softarm.cli.main import main
 from softarm.diagnosis.data import mocap, tables
 from softarm.diagnosis.data.skeleton import Skeleton
 from softarm.diagnosis.data.trials import Series, TrialError
+from tests.cli.invoke import invoke
 
 # A turret, an upper arm and a forearm, and a carriage that carries them.
 ARM = """
@@ -371,10 +370,10 @@ def described(folder, encoders=(), fixed=(), means=(0.8,)):
         columns |= {f"{name}_servo": x for name, x in zip(JOINTS[1:], true[:, 1:].T, strict=True)}
         columns |= {name: true[:, JOINTS.index(name)] for name in encoders}
         table = np.stack([T, *columns.values()], axis=1)
-        recordings.append(str(folder / f"run-{number}.csv"))
+        recordings.append(folder / f"run-{number}.csv")
         np.savetxt(recordings[-1], table, delimiter=",", header="t," + ",".join(columns), comments="")
-    command = ["new", "rig", str(file), *recordings, "--out", str(folder / "stage.yaml")]
-    return folder / "stage.yaml", CliRunner().invoke(main, command)
+    out = folder / "stage.yaml"
+    return out, invoke("new", "rig", file, *recordings, "--out", out)
 
 
 @pytest.fixture(scope="module")

@@ -86,12 +86,6 @@ def test_a_wrong_window_is_refused(tmp_path, window, says):
         read(tmp_path, table(), ("name: one", f"name: one, {window}"))
 
 
-def test_several_columns_are_subtracted(tmp_path):
-    text = table("t,u,y,a,b", T, COMMAND, MEASURED + 3, np.ones(200), np.full(200, 2.0))
-    (trial,) = read(tmp_path, text, ("source: y,", "source: y, minus: [a, b],"))
-    np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=2e-6)
-
-
 def test_a_pattern_names_a_column_that_each_recording_calls_otherwise(tmp_path):
     changes = (("source: y,", "source: 'pos*',"), ("name: one, kind: sine, files: data.csv", "files: '*.csv'"))
     read(tmp_path, table("t,u,pos_7"), *changes, name="r1.csv")

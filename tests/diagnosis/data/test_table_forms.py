@@ -66,10 +66,10 @@ def test_rows_with_missing_values_are_left_out(tmp_path):
     assert len(trial.channels["command"]) == 200
 
 
-def test_a_column_is_scaled_after_another_is_subtracted(tmp_path):
-    column = "{source: a, minus: b, scale: 0.087890625, unit: deg, add: 0.1}"
+def test_a_column_is_scaled_after_others_are_subtracted(tmp_path):
+    column = "{source: a, minus: [b, c], scale: 0.087890625, unit: deg, add: 0.1}"
     counts = np.round(np.degrees(MEASURED - 0.1) / 0.087890625)
-    text = table("t,u,a,b", T, COMMAND, counts + 2048, np.full(200, 2048.0))
+    text = table("t,u,a,b,c", T, COMMAND, counts + 2048, np.full(200, 2000.0), np.full(200, 48.0))
     (trial,) = read(tmp_path, text, ("{source: y, unit: rad}", column))
     np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=1e-3)
     own = trial.stage.units["measured"]["position"]
