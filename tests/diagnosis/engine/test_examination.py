@@ -25,6 +25,16 @@ def _candidate(path, *starts):
     return candidate(path, -2.0, 2.0, 0.3, *starts)
 
 
+KNOWN = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
+SWUNG, LEVELLED, STOPPED, TWINNED = (_candidate(path, 0.3) for path in (SWING, LEVEL, STOP, TWIN))
+
+
+def _fitted(problem, *sized):
+    """Return a fit of effects, each with its first sizes."""
+    effects, sizes = zip(*sized, strict=True)
+    return problem.fit([(effects, sizes)], rounds=1)[0]
+
+
 @dataclass
 class _View(Gauge):
     """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
@@ -48,8 +58,7 @@ class _View(Gauge):
 @pytest.fixture(scope="module", params=[ROBOT, RIG], ids=["robot", "rig"])
 def examined(request):
     setup = Setup([_View()], (Nuisance(BIAS, 0.0, -0.5, 0.5),), KINDS)
-    known = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
-    found = Examination(setup, known, request.param, lambda what, share: None)
+    found = Examination(setup, KNOWN, request.param, lambda what, share: None)
     found.decide()
     return found
 
@@ -85,7 +94,7 @@ class _Healthy(_View):
 @pytest.mark.parametrize(("law", "kind"), [(0.0, "none"), (0.2, "unknown")])
 def test_only_a_residual_that_a_flexible_model_explains_is_unknown(law, kind):
     setup = Setup([_Healthy(law)], (Nuisance(BIAS, 0.0, -0.02, 0.02),), KINDS)
-    found = Examination(setup, (_candidate(STOP, 0.3),), RIG, lambda what, share: None)
+    found = Examination(setup, (STOPPED,), RIG, lambda what, share: None)
     assert found.choice.energies[1]["stage"] > 20.0
     decision = found.decide()
     assert (decision.kind, decision.noise) == (kind, kind == "none")
@@ -93,13 +102,12 @@ def test_only_a_residual_that_a_flexible_model_explains_is_unknown(law, kind):
 
 def test_a_choice_has_the_sizes_of_all_data_to_which_it_is_fitted():
     """The search used half of the data, whose intervals are wider."""
-    known = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
     setups = []
     for kept_s in (LENGTH_S / 2, LENGTH_S):
         view = _View()
         view.measured[view.t_s > kept_s] = np.nan
         setups.append(Setup([view], (Nuisance(BIAS, 0.0, -0.5, 0.5),), KINDS))
-    half, whole = (Examination(setup, known, RIG, lambda what, share: None) for setup in setups)
+    half, whole = (Examination(setup, KNOWN, RIG, lambda what, share: None) for setup in setups)
     fitted = half.on(setups[1])
     for each in (half, fitted, whole):
         assert set(each.choice.chosen.names) == {"stage.level", "stage.swing"}
@@ -125,8 +133,7 @@ def test_the_fit_of_the_named_effects_has_no_other(found):
 def test_the_named_effect_takes_over_from_a_similar_one_that_is_not_named(found):
     """Beside its twin the swing has 0.5 of 0.8; size, held-out gap and calibration of the name are those without it."""
     decision = found.decide()
-    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
-    (chosen,) = found.verdict_problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
+    chosen = _fitted(found.verdict_problem, (SWUNG, (0.5,)), (LEVELLED, (0.2,)), (TWINNED, (0.3,)))
     found.choice = replace(found.choice, chosen=chosen)
     named = found.named(decision)
     assert named.point == {path: pytest.approx(size, abs=0.02) for path, size in TRUTH.items()}
@@ -138,10 +145,9 @@ def test_the_named_effect_takes_over_from_a_similar_one_that_is_not_named(found)
 def test_a_named_effect_keeps_its_size_if_it_has_none_without_the_dropped_ones(found):
     """A stop that no sample reaches has no size of its own."""
     decision = _without_level(found)
-    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(STOP, 0.3))
-    (chosen,) = found.verdict_problem.fit([(effects, ((0.8,), (0.2,), (0.4,)))], rounds=1)
+    chosen = _fitted(found.verdict_problem, (SWUNG, (0.8,)), (LEVELLED, (0.2,)), (STOPPED, (0.4,)))
     found.choice = replace(found.choice, chosen=chosen)
-    stop = replace(decision.selected[0], candidate=effects[2])
+    stop = replace(decision.selected[0], candidate=STOPPED)
     named = found.named(replace(decision, selected=(*decision.selected, stop)))
     assert named.point == {path: chosen.point[path] for path in (SWING, STOP)}
 
@@ -149,10 +155,8 @@ def test_a_named_effect_keeps_its_size_if_it_has_none_without_the_dropped_ones(f
 def test_a_named_effect_keeps_its_size_if_it_goes_to_a_bound_without_the_dropped_ones(found):
     """A Stribeck speed went to the end of its range once the other frictions were dropped."""
     decision = _without_level(found)
-    low = _candidate(SWING, 0.3)
-    low = replace(low, parameters=(replace(low.parameters[0], high=0.7),))
-    effects = (low, _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
-    (chosen,) = found.verdict_problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
+    low = replace(SWUNG, parameters=(replace(SWUNG.parameters[0], high=0.7),))
+    chosen = _fitted(found.verdict_problem, (low, (0.5,)), (LEVELLED, (0.2,)), (TWINNED, (0.3,)))
     found.choice = replace(found.choice, chosen=chosen)
     named = found.named(decision)
     assert named.point == {SWING: chosen.point[SWING]}
@@ -169,7 +173,7 @@ def test_if_all_are_named_they_have_the_sizes_of_the_search_and_if_none_is_its_n
 
 def test_a_size_is_not_shared_with_a_tolerance_that_resembles_its_effect():
     setup = Setup([_View()], (Nuisance(TWIN, 0.0, -0.3, 0.3),), KINDS)
-    found = Examination(setup, (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3)), ROBOT, lambda what, share: None)
+    found = Examination(setup, KNOWN, ROBOT, lambda what, share: None)
     named = found.named(found.decide())
     assert named.point[SWING] == pytest.approx(TRUTH[SWING], abs=0.03)
     assert abs(named.nuisance[0]) < 0.1
@@ -185,11 +189,10 @@ def test_the_calibration_next_to_the_named_effects_replaces_what_is_not_named(fo
 
 def test_an_effect_is_resolved_if_its_interval_excludes_the_models_value_and_a_sample_reaches_it(found):
     assert found.unresolved == frozenset()
-    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(STOP, 0.3))
-    (fit,) = found.search.problem.fit([(effects, ((0.8,), (0.2,), (0.5,)))], rounds=1)
+    fit = _fitted(found.search.problem, (SWUNG, (0.8,)), (LEVELLED, (0.2,)), (STOPPED, (0.5,)))
     assert _unresolved(found, fit) == {"stage.stop"}
-    level = replace(effects[1].parameters[0], nominal=0.2)
-    (fit,) = found.search.problem.fit([((effects[0], replace(effects[1], parameters=(level,))), fit.u[:2])], rounds=1)
+    level = _moved(LEVELLED, 0.2)
+    fit = _fitted(found.search.problem, (SWUNG, fit.u[0]), (level, fit.u[1]))
     assert _unresolved(found, fit) == {"stage.level"}  # the model has this level already
 
 
@@ -201,8 +204,7 @@ def test_an_effect_that_other_data_do_not_resolve_is_not_named(found):
 
 
 def test_of_two_effects_that_only_their_sum_resolves_one_stays(found):
-    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(TWIN, 0.3))
-    (fit,) = found.search.problem.fit([(effects, ((0.5,), (0.2,), (0.3,)))], rounds=1)
+    fit = _fitted(found.search.problem, (SWUNG, (0.5,)), (LEVELLED, (0.2,)), (TWINNED, (0.3,)))
     low, high = found.interval(fit)
     assert ((low < 0) & (high > 0)).tolist() == [True, False, True]
     assert _unresolved(found, fit) == {"stage.twin"}
@@ -212,11 +214,11 @@ def test_of_two_effects_that_only_their_sum_resolves_one_stays(found):
 
 def test_parameters_of_one_effect_that_only_their_sum_resolves_are_resolved(found):
     pair = Candidate("stage.pair", "stage", tuple(_candidate(path, 0.3).parameters[0] for path in (SWING, TWIN)), ())
-    (fit,) = found.search.problem.fit([((pair, _candidate(LEVEL, 0.3)), ((0.5, 0.3), (0.2,)))], rounds=1)
+    fit = _fitted(found.search.problem, (pair, (0.5, 0.3)), (LEVELLED, (0.2,)))
     low, high = found.interval(fit)
     assert ((low < 0) & (high > 0)).tolist() == [True, True, False]
     assert _unresolved(found, fit) == frozenset()
-    (fit,) = found.search.problem.fit([((pair, _candidate(LEVEL, 0.3)), ((0.8, -0.8), (0.2,)))], rounds=1)
+    fit = _fitted(found.search.problem, (pair, (0.8, -0.8)), (LEVELLED, (0.2,)))
     nothing = replace(fit, effects=(_moved(pair, 0.4), fit.effects[1]))
     assert _unresolved(found, nothing) == {"stage.pair"}  # the model has their sum already
 
