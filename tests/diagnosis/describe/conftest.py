@@ -8,11 +8,12 @@ import pytest
 
 from tests.diagnosis.data.servo import table as text_of
 
+# Time, command and measured angle.
 T = np.arange(300) * 0.02
-COMMAND = 30 * np.sin(2 * T) + 5 * np.sign(np.sin(7 * T))
-MEASURED = np.zeros(300)
+U = 30 * np.sin(2 * T) + 5 * np.sign(np.sin(7 * T))
+Y = np.zeros(300)
 for _k in range(1, 300):
-    MEASURED[_k] = MEASURED[_k - 1] + 0.25 * (COMMAND[_k - 1] - MEASURED[_k - 1])
+    Y[_k] = Y[_k - 1] + 0.25 * (U[_k - 1] - Y[_k - 1])
 
 
 @pytest.fixture
@@ -26,9 +27,3 @@ def table(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
-
-
-@pytest.fixture
-def servo() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return time, command and measured angle."""
-    return T, COMMAND, MEASURED

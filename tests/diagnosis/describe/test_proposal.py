@@ -6,6 +6,7 @@ import pytest
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe.proposal import Answers, Unknown, propose
 from softarm.diagnosis.describe.survey import survey
+from tests.diagnosis.describe.conftest import T, U, Y
 
 
 def proposal(path, **answers):
@@ -25,9 +26,8 @@ def columns(found):
     }
 
 
-def test_a_servo_with_units_in_its_headers_needs_no_answer(table, servo):
-    t, u, y = servo
-    path = table("run.csv", "t/ms;Sollwinkel [deg];angle [deg];temp_C;torque_Nm", 1e3 * t, u, y, 0 * t + 21, 0.1 * y,
+def test_a_servo_with_units_in_its_headers_needs_no_answer(table):
+    path = table("run.csv", "t/ms;Sollwinkel [deg];angle [deg];temp_C;torque_Nm", 1e3 * T, U, Y, 0 * T + 21, 0.1 * Y,
                  delimiter=";", decimal=",")  # fmt: skip
     found = proposal(path)
     assert found.kind == "tracking"
@@ -41,9 +41,8 @@ def test_a_servo_with_units_in_its_headers_needs_no_answer(table, servo):
 
 
 @pytest.mark.parametrize("swapped", [False, True])
-def test_the_column_that_leads_is_the_command_where_headers_say_nothing(table, servo, swapped):
-    t, u, y = servo
-    path = table("run.csv", "t,one,two", t, *((y, u) if swapped else (u, y)))
+def test_the_column_that_leads_is_the_command_where_headers_say_nothing(table, swapped):
+    path = table("run.csv", "t,one,two", T, *((Y, U) if swapped else (U, Y)))
     assert questions(path) == [("--kind", "tracking")]
     units = {"one": "deg", "two": "deg"}
     found = columns(proposal(path, kind="tracking", units=units))
@@ -51,64 +50,56 @@ def test_the_column_that_leads_is_the_command_where_headers_say_nothing(table, s
 
 
 @pytest.mark.parametrize(("factor", "unit", "rate"), [(1, "s", 50), (1e3, "ms", 50), (1e6, "us", 50)])
-def test_the_unit_of_the_time_follows_from_its_step(table, servo, factor, unit, rate):
-    t, u, y = servo
-    found = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * t, u, y))
+def test_the_unit_of_the_time_follows_from_its_step(table, factor, unit, rate):
+    found = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * T, U, Y))
     assert found.clocks["command"].unit == unit
     assert found.clocks["command"].note == f"{rate} rows a second; unit from the step"
-    given = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * t, u, y), units={"time": unit})
+    given = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * T, U, Y), units={"time": unit})
     assert given.clocks["command"].note == f"{rate} rows a second; unit as given"
 
 
-def test_gaps_and_other_time_columns_are_noted(table, servo):
-    t, u, y = servo
+def test_gaps_and_other_time_columns_are_noted(table):
     keep = np.delete(np.arange(300), np.arange(100, 140))
-    found = proposal(table("run.csv", "t,stamp,cmd_deg,pos_deg", t[keep], t[keep] + 5, u[keep], y[keep]))
+    found = proposal(table("run.csv", "t,stamp,cmd_deg,pos_deg", T[keep], T[keep] + 5, U[keep], Y[keep]))
     assert found.clocks["command"].note == "50 rows a second, 1 gaps; unit from the step; or stamp"
 
 
-def test_a_table_without_time_needs_its_rate(table, servo):
-    _, u, y = servo
-    path = table("run.csv", "cmd_deg,pos_deg", u, y)
+def test_a_table_without_time_needs_its_rate(table):
+    path = table("run.csv", "cmd_deg,pos_deg", U, Y)
     assert questions(path) == [("--rate", "")]
     clock = proposal(path, rate_hz=50).clocks["command"]
     assert (clock.source, clock.scale, clock.unit) == ("rows", 0.02, "s")
 
 
-def test_a_clock_that_falls_is_named(table, servo):
-    t, u, y = servo
+def test_a_clock_that_falls_is_named(table):
     with pytest.raises(Unknown) as caught:
-        proposal(table("run.csv", "t,cmd_deg,pos_deg", -t, u, y))
+        proposal(table("run.csv", "t,cmd_deg,pos_deg", -T, U, Y))
     assert caught.value.questions[0].text == "rows a second, since t does not rise"
 
 
-def test_recordings_without_motion_are_refused(table, servo):
-    t, u, _ = servo
+def test_recordings_without_motion_are_refused(table):
     with pytest.raises(
         TrialError, match="needs a command and an output that move; moving: cmd_deg, constant: pos_deg;"
     ):
-        proposal(table("run.csv", "t,cmd_deg,pos_deg", t, u, 0 * t), kind="tracking")
+        proposal(table("run.csv", "t,cmd_deg,pos_deg", T, U, 0 * T), kind="tracking")
 
 
-def test_units_that_no_header_has_are_asked_for_with_a_guess(table, servo):
-    t, u, y = servo
-    path = table("run.csv", "t,cmd_angle,angle", t, u, y)
+def test_units_that_no_header_has_are_asked_for_with_a_guess(table):
+    path = table("run.csv", "t,cmd_angle,angle", T, U, Y)
     assert questions(path) == [("--unit cmd_angle=", "deg"), ("--unit angle=", "deg")]
     assert columns(proposal(path, units={"*angle": "deg"}))["command"] == {"command": ("cmd_angle", "deg")}
 
 
-def test_a_gain_is_asked_for_between_different_units(table, servo):
-    t, u, y = servo
-    path = table("run.csv", "t,valve_V,Druck (mbar)", t, u / 10, 20 * y)
+def test_a_gain_is_asked_for_between_different_units(table):
+    path = table("run.csv", "t,valve_V,Druck (mbar)", T, U / 10, 20 * Y)
     ((option, likely),) = questions(path)
     assert option == "--nominal gain="
     assert 150 < float(likely) < 220
     assert proposal(path, nominal={"gain": "200"}).model == {"gain": 200.0}
 
 
-def test_a_driven_mass_is_found(table, servo):
-    t, u, _ = servo
-    path = table("run.csv", "t,force [N],x_mm,v_mm_s", t, u, 300 * np.sin(t), 300 * np.cos(t))
+def test_a_driven_mass_is_found(table):
+    path = table("run.csv", "t,force [N],x_mm,v_mm_s", T, U, 300 * np.sin(T), 300 * np.cos(T))
     assert questions(path) == [("--nominal mass_kg=", "")]
     assert columns(proposal(path, nominal={"mass_kg": "2"})) == {
         "force": {"force": ("force [N]", "N")},
@@ -116,9 +107,8 @@ def test_a_driven_mass_is_found(table, servo):
     }
 
 
-def test_two_columns_of_one_kind_are_asked_for(table, servo):
-    t, u, _ = servo
-    path = table("run.csv", "t,force_N,x_m,y_m", t, u, np.sin(t), np.cos(t))
+def test_two_columns_of_one_kind_are_asked_for(table):
+    path = table("run.csv", "t,force_N,x_m,y_m", T, U, np.sin(T), np.cos(T))
     assert questions(path, kind="driven_mass") == [("--measured", "x_m")]
     with pytest.raises(TrialError, match="--measured: x_m and y_m cannot both be the position; allowed is one; name"):
         proposal(path, kind="driven_mass", measured=("x_m", "y_m"))
@@ -129,11 +119,10 @@ def test_two_columns_of_one_kind_are_asked_for(table, servo):
 CHAIN = {"mass_kg": "1,1", "centre_m": "0.1,0.1", "inertia_kg_m2": "0.01,0.01", "length_m": "0.2,0.2"}
 
 
-def test_a_chain_has_measured_torques_and_rates_by_their_slopes(table, servo):
-    t, u, _ = servo
+def test_a_chain_has_measured_torques_and_rates_by_their_slopes(table):
     head = "t,q1_rad,q2_rad,qd1,qd2,tau_cmd1 [Nm],tau_cmd2 [Nm],tau_meas1 [Nm],tau_meas2 [Nm]"
-    one, two = np.sin(t), 0.5 * np.sin(3 * t)
-    path = table("run.csv", head, t, one, two, np.cos(t), 1.5 * np.cos(3 * t), u, u, u + 1, u + 1)
+    one, two = np.sin(T), 0.5 * np.sin(3 * T)
+    path = table("run.csv", head, T, one, two, np.cos(T), 1.5 * np.cos(3 * T), U, U, U + 1, U + 1)
     assert questions(path) == [("--angles", "")]
     assert [option for option, _ in questions(path, angles="relative")] == [f"--nominal {key}=" for key in CHAIN]
     found = proposal(path, angles="relative", nominal=CHAIN)
@@ -151,25 +140,22 @@ def test_a_chain_has_measured_torques_and_rates_by_their_slopes(table, servo):
     ("angles", "torque", "name"),
     [("q1,q2", "tau2", "torque2"), ("q0,q1", "tau1", "torque2"), ("hip,knee", "tau2", "torque2"), ("q1,q2", "tau", "")],
 )
-def test_a_single_torque_of_a_chain_has_the_number_of_its_header(table, servo, angles, torque, name):
-    t, u, _ = servo
+def test_a_single_torque_of_a_chain_has_the_number_of_its_header(table, angles, torque, name):
     one, two = angles.split(",")
-    path = table("run.csv", f"t,{one}_rad,{two}_rad,{torque} [Nm]", t, np.sin(t), 0.5 * np.sin(3 * t), u)
+    path = table("run.csv", f"t,{one}_rad,{two}_rad,{torque} [Nm]", T, np.sin(T), 0.5 * np.sin(3 * T), U)
     found = proposal(path, kind="chain", angles="relative", nominal=CHAIN, command=(f"{torque} [Nm]",))
     assert list(found.channels["torque"]) == [name or "torque1"]
     assert any(f"{torque} [Nm] show no link" in note for note in found.notes) == (not name)
 
 
-def test_both_inertias_of_a_chain_are_refused(table, servo):
-    t, u, _ = servo
-    path = table("run.csv", "t,q1_rad,q2_rad,tau1_Nm,tau2_Nm", t, np.sin(t), 0.5 * np.sin(3 * t), u, u)
+def test_both_inertias_of_a_chain_are_refused(table):
+    path = table("run.csv", "t,q1_rad,q2_rad,tau1_Nm,tau2_Nm", T, np.sin(T), 0.5 * np.sin(3 * T), U, U)
     with pytest.raises(TrialError, match="inertia_joint_kg_m2: is given together with inertia_kg_m2; keep one"):
         proposal(path, kind="chain", angles="relative", nominal=CHAIN | {"inertia_joint_kg_m2": "0.1,0.1"})
 
 
-def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
-    t, *_ = servo
-    path = table("run.csv", "t,theta_deg", t, 180 + 20 * np.sin(5 * t) * np.exp(-0.1 * t))
+def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table):
+    path = table("run.csv", "t,theta_deg", T, 180 + 20 * np.sin(5 * T) * np.exp(-0.1 * T))
     nominal = {"mass_kg": "0.2", "centre_m": "0.1", "inertia_kg_m2": "1e-4"}
     found = proposal(path, nominal=nominal)
     assert found.kind == "pendulum"
@@ -191,8 +177,7 @@ def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
         ({"nominal": {"lags": "1"}}, r"--nominal lags: unknown key; did you mean lag_s\?"),
     ],
 )
-def test_an_answer_that_does_not_fit_is_refused(table, servo, answers, says):
-    t, u, y = servo
-    path = table("run.csv", "t,cmd_deg,pos_deg,lost_deg", t[:240], -u[:240], y[:240], np.full(240, np.nan))
+def test_an_answer_that_does_not_fit_is_refused(table, answers, says):
+    path = table("run.csv", "t,cmd_deg,pos_deg,lost_deg", T[:240], -U[:240], Y[:240], np.full(240, np.nan))
     with pytest.raises(TrialError, match=says):
         proposal(path, **answers)
