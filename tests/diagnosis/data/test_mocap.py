@@ -1,7 +1,6 @@
 """Joints of a MuJoCo model by motion capture of its sites and bodies."""
 
 import re
-from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -43,14 +42,17 @@ def write(folder, elbow="-2.4 2.4", extra=""):
 
 
 @pytest.fixture
-def model(tmp_path):
-    return partial(write, tmp_path)
+def arm(tmp_path):
+    return write(tmp_path)
 
 
 def motion(elbow=(0.8, 0.6)):
     """Return positions of the joints, [T, 4]; elbow: its mean and amplitude."""
     swings = [0.2 * np.sin(2 * T), 0.7 * np.sin(3 * T + 1), 0.5 * np.sin(4 * T), elbow[0] + elbow[1] * np.sin(5 * T)]
     return np.stack(swings, axis=1)
+
+
+TRUE = motion()
 
 
 def tracked(file, positions, names, noise_m=0.0):
@@ -95,23 +97,21 @@ def test_tracked_points_give_the_positions_that_made_them(tmp_path_factory, seed
         assert found[name] == pytest.approx(of, abs=1e-6)
 
 
-def test_a_known_joint_is_not_sought(model):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker"))
-    found = solved(file, columns, {"rail": true[:, 0]})
+def test_a_known_joint_is_not_sought(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
+    found = solved(arm, columns, {"rail": TRUE[:, 0]})
     assert found.columns.keys() == {"yaw", "shoulder", "elbow"}
-    assert found["shoulder"] == pytest.approx(true[:, 2], abs=1e-6)
+    assert found["shoulder"] == pytest.approx(TRUE[:, 2], abs=1e-6)
 
 
-def test_a_coordinate_may_be_missing(model):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker"))
+def test_a_coordinate_may_be_missing(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
     del columns["tip_y"]
-    assert solved(file, columns)["elbow"] == pytest.approx(true[:, 3], abs=1e-6)
+    assert solved(arm, columns)["elbow"] == pytest.approx(TRUE[:, 3], abs=1e-6)
 
 
-def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
-    file, true = model("-0.1 2.4"), motion(elbow=(0.9, 0.9))
+def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(tmp_path):
+    file, true = write(tmp_path, "-0.1 2.4"), motion(elbow=(0.9, 0.9))
     found = solved(file, tracked(file, true, ("tip",)), {"rail": true[:, 0]})
     stretched = true[:, 3] < 0.1  # the tip's distance from the shoulder hardly changes with the elbow there
     assert stretched.any()
@@ -121,9 +121,9 @@ def test_rows_in_which_the_points_hardly_show_a_joint_are_left_out(model):
 
 
 @pytest.mark.parametrize(("step_s", "shift"), [(0.03, 0.0), (0.03, 0.2), (0.02, 0.0), (0.02, 0.1)])
-def test_a_joint_that_was_stretched_bends_in_its_range_again(model, step_s, shift):
+def test_a_joint_that_was_stretched_bends_in_its_range_again(tmp_path, step_s, shift):
     """Points without a coordinate to spare show no delay, though a tip out of reach seems to."""
-    file, t_s = model("-0.1 2.4"), step_s * np.arange(60)
+    file, t_s = write(tmp_path, "-0.1 2.4"), step_s * np.arange(60)
     true = np.stack(
         [0.2 * np.sin(2 * t_s), 0.7 * np.sin(3 * t_s), 0.5 * np.sin(4 * t_s), 1 + np.sin(5 * t_s + shift)], 1
     )
@@ -143,30 +143,27 @@ def test_a_joint_that_was_stretched_bends_in_its_range_again(model, step_s, shif
         (["fore_x", "fore_qw", "fore_qx"], "the orientation of fore needs fore_qw to fore_qz"),
     ],
 )
-def test_a_wrong_column_is_refused(model, names, message):
+def test_a_wrong_column_is_refused(arm, names, message):
     with pytest.raises(TrialError, match=message):
-        Skeleton(model(), names)
+        Skeleton(arm, names)
 
 
-def test_points_that_do_not_show_a_joint_are_refused(model):
-    file, true = model(), motion()
+def test_points_that_do_not_show_a_joint_are_refused(arm):
     with pytest.raises(TrialError, match=r"do not show the position of .*elbow; track more points"):
-        solved(file, tracked(file, true, ("tip",)))
+        solved(arm, tracked(arm, TRUE, ("tip",)))
 
 
-def test_several_poses_that_fit_are_refused(model):
-    file, true = model(), motion()
+def test_several_poses_that_fit_are_refused(arm, tmp_path):
+    columns, rail = tracked(arm, TRUE, ("tip",)), {"rail": TRUE[:, 0]}
     with pytest.raises(TrialError, match=r"several poses fit .* shoulder, elbow may be at .* or .*; track a point on"):
-        solved(file, tracked(file, true, ("tip",)), {"rail": true[:, 0]})
-    narrow = model("0.1 2.4")
-    found = solved(narrow, tracked(narrow, true, ("tip",)), {"rail": true[:, 0]})
-    assert found["elbow"] == pytest.approx(np.interp(found.t_s, T, true[:, 3]), abs=1e-6)
+        solved(arm, columns, rail)
+    found = solved(write(tmp_path, "0.1 2.4"), columns, rail)
+    assert found["elbow"] == pytest.approx(np.interp(found.t_s, T, TRUE[:, 3]), abs=1e-6)
 
 
 @pytest.mark.parametrize("wrong", ["unit", "axes", "place"])
-def test_points_that_fit_no_pose_are_refused(model, wrong):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker"))
+def test_points_that_fit_no_pose_are_refused(arm, wrong):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
     match wrong:
         case "unit":
             columns = {name: 1000 * x for name, x in columns.items()}
@@ -178,26 +175,24 @@ def test_points_that_fit_no_pose_are_refused(model, wrong):
             columns = {f"{other[n[:-2]]}{n[-2:]}": x for n, x in columns.items()}
     message = r"run.csv: the tracked points differ by .* best poses .* that origin and axes are those of the model"
     with pytest.raises(TrialError, match=message):
-        solved(file, columns)
+        solved(arm, columns)
 
 
-def test_a_few_rows_without_the_points_are_left_out_with_a_warning(model):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker"))
+def test_a_few_rows_without_the_points_are_left_out_with_a_warning(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
     for values in columns.values():
         values[[0, 30]] = 0.0  # as a system writes a lost marker
-    skeleton = Skeleton(file, columns)
+    skeleton = Skeleton(arm, columns)
     found, (warning,) = mocap.positions(skeleton, Series(T, columns), [], Path("run.csv"))
     assert warning.startswith("run.csv: in 2 rows, first at 0.000 s, the tracked points differ by more than")
-    assert found["elbow"] == pytest.approx(np.delete(true[:, 3], [0, 30]), abs=1e-6)
+    assert found["elbow"] == pytest.approx(np.delete(TRUE[:, 3], [0, 30]), abs=1e-6)
 
 
-def test_an_orientation_that_is_no_unit_quaternion_is_refused(model):
-    file = model()
-    columns = tracked(file, motion(), ("fore+",))
+def test_an_orientation_that_is_no_unit_quaternion_is_refused(arm):
+    columns = tracked(arm, TRUE, ("fore+",))
     columns["fore_qw"][10], columns["fore_qx"][10] = 0.0, 0.0
     with pytest.raises(TrialError, match=r"run.csv: fore_qw, .* have a length of .* at 0.330 s"):
-        solved(file, columns)
+        solved(arm, columns)
 
 
 @pytest.mark.parametrize(
@@ -207,19 +202,18 @@ def test_an_orientation_that_is_no_unit_quaternion_is_refused(model):
         ('<equality><connect body1="fore" body2="turret" anchor="0 0 0"/></equality>', "couples shoulder with"),
     ],
 )
-def test_joints_that_an_equality_couples_are_refused(model, extra, message):
+def test_joints_that_an_equality_couples_are_refused(tmp_path, extra, message):
     with pytest.raises(TrialError, match=message):
-        Skeleton(model(extra=extra), ["tip_x", "tip_y", "tip_z"])
-    assert Skeleton(model(extra=extra.replace("fore", "carriage")), ["carriage_x"]).joints == ("rail",)
+        Skeleton(write(tmp_path, extra=extra), ["tip_x", "tip_y", "tip_z"])
+    assert Skeleton(write(tmp_path, extra=extra.replace("fore", "carriage")), ["carriage_x"]).joints == ("rail",)
 
 
 @pytest.fixture
-def floating(tmp_path):
+def floating(arm):
     """Return the model with a carriage that floats."""
-    file = write(tmp_path)
     slide = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
-    file.write_text(file.read_text().replace(slide, "<freejoint/>"))
-    return file
+    arm.write_text(arm.read_text().replace(slide, "<freejoint/>"))
+    return arm
 
 
 POSE = ("carriage_x", "carriage_y", "carriage_z", "carriage_qw", "carriage_qx", "carriage_qy", "carriage_qz")
@@ -235,26 +229,24 @@ def test_a_point_of_a_floating_body_without_its_pose_is_refused(floating):
 def test_joints_behind_a_floating_body_are_found_beside_its_pose(floating):
     turn, place = 0.4 * np.sin(2 * T), 0.3 * np.sin(T)
     quaternion = np.stack([np.cos(turn / 2), 0 * T, 0 * T, np.sin(turn / 2)], axis=1)
-    true = motion()
-    qpos = np.column_stack((place, 0 * T, 1 + 0 * T, quaternion, true[:, 1:]))
+    qpos = np.column_stack((place, 0 * T, 1 + 0 * T, quaternion, TRUE[:, 1:]))
     columns = tracked(floating, qpos, ("tip", "elbow_marker"))
     signs = np.where(T > 1, -1.0, 1.0)  # motion capture may give either of two quaternions
     pose = dict(zip(POSE, (place, 0 * T, 1 + 0 * T, *(quaternion.T * signs)), strict=True))
     found = solved(floating, columns, pose)
     assert found.columns.keys() == {"yaw", "shoulder", "elbow"}
-    for name, of in zip(JOINTS[1:], true[:, 1:].T, strict=True):
+    for name, of in zip(JOINTS[1:], TRUE[:, 1:].T, strict=True):
         assert found[name] == pytest.approx(of, abs=1e-6)
 
 
-def test_readings_of_another_rate_are_known_between_their_rows(model):
-    file, true = model(), motion()
+def test_readings_of_another_rate_are_known_between_their_rows(arm):
     fine = np.arange(0.3, 1.5, 0.001)
     fine = fine[(fine < 0.8) | (fine > 1.0)]  # a gap
     rail = {"rail": 0.2 * np.sin(2 * fine)}
-    found = solved(file, tracked(file, true, ("tip", "elbow_marker")), rail, fine)
+    found = solved(arm, tracked(arm, TRUE, ("tip", "elbow_marker")), rail, fine)
     inside = (T >= 0.3) & (T < 1.499) & ((T <= 0.799) | (T >= 1.001))
     assert found.t_s == pytest.approx(T[inside])
-    assert found["elbow"] == pytest.approx(true[inside, 3], abs=1e-5)
+    assert found["elbow"] == pytest.approx(TRUE[inside, 3], abs=1e-5)
 
 
 def in_another_frame(columns, wrong=None):
@@ -274,74 +266,67 @@ def in_another_frame(columns, wrong=None):
 @pytest.mark.parametrize(
     ("fixed", "moved"), [(("left", "right", "back"), ("fore+",)), (("rack+",), ("tip", "elbow_marker"))]
 )
-def test_fixed_points_show_the_frame_of_motion_capture(model, fixed, moved):
-    file, true = model(), motion()
-    found = solved(file, in_another_frame(tracked(file, true, (*moved, *fixed))))
-    for name, of in zip(JOINTS, true.T, strict=True):
+def test_fixed_points_show_the_frame_of_motion_capture(arm, fixed, moved):
+    found = solved(arm, in_another_frame(tracked(arm, TRUE, (*moved, *fixed))))
+    for name, of in zip(JOINTS, TRUE.T, strict=True):
         assert found[name] == pytest.approx(of, abs=1e-6)
 
 
 @pytest.mark.parametrize("fixed", [("left", "right"), ("rack",)])
-def test_with_fewer_fixed_points_coordinates_have_to_be_in_the_frame_of_the_model(model, fixed):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker", *fixed))
-    assert solved(file, columns)["elbow"] == pytest.approx(true[:, 3], abs=1e-6)
+def test_with_fewer_fixed_points_coordinates_have_to_be_in_the_frame_of_the_model(arm, fixed):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker", *fixed))
+    assert solved(arm, columns)["elbow"] == pytest.approx(TRUE[:, 3], abs=1e-6)
     with pytest.raises(
         TrialError, match=r"the tracked points differ by .* that origin and axes are those of the model"
     ):
-        solved(file, in_another_frame(columns))
+        solved(arm, in_another_frame(columns))
 
 
-def test_a_fixed_point_that_is_elsewhere_is_refused(model):
-    file = model()
-    columns = tracked(file, motion(), ("tip", "elbow_marker", "left", "right", "back"))
+def test_a_fixed_point_that_is_elsewhere_is_refused(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker", "left", "right", "back"))
     with pytest.raises(
         TrialError, match=r"run.csv: the fixed points left, right, back differ by 0\.\d+ m from the model"
     ):
-        solved(file, in_another_frame(columns, wrong="left"))
+        solved(arm, in_another_frame(columns, wrong="left"))
 
 
-def test_a_point_without_a_coordinate_is_not_turned(model):
-    file = model()
-    columns = tracked(file, motion(), ("tip", "elbow_marker", "left", "right", "back"))
+def test_a_point_without_a_coordinate_is_not_turned(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker", "left", "right", "back"))
     del columns["tip_y"]
     with pytest.raises(TrialError, match=r"run.csv: tip lacks a coordinate, .* leave the fixed points out"):
-        solved(file, columns)
+        solved(arm, columns)
 
 
 @pytest.mark.parametrize("late_s", [0.03, -0.012])
-def test_stamps_of_motion_capture_that_are_late_beside_encoders_are_corrected(model, late_s):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker", "upper"), 1e-4)
+def test_stamps_of_motion_capture_that_are_late_beside_encoders_are_corrected(arm, late_s):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker", "upper"), 1e-4)
     fine = np.arange(-0.2, 2.2, 0.004)
     rail = Series(fine, {"rail": 0.2 * np.sin(2 * fine)})
-    skeleton = Skeleton(file, columns, ["rail"])
+    skeleton = Skeleton(arm, columns, ["rail"])
     found, warnings = mocap.positions(skeleton, Series(T + late_s, columns), [rail], Path("run.csv"))
     said = re.fullmatch(r"run.csv: the tracked points are (.*) ms (late|early) beside rail; .* one clock.*", *warnings)
     assert float(said[1]) == pytest.approx(1e3 * abs(late_s), abs=0.5)
     assert said[2] == ("late" if late_s > 0 else "early")
     assert found.t_s == pytest.approx(T, abs=5e-4)
-    assert found["elbow"] == pytest.approx(true[:, 3], abs=5e-3)
+    assert found["elbow"] == pytest.approx(TRUE[:, 3], abs=5e-3)
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 1e-4])
-def test_stamps_of_one_clock_are_not_corrected(model, noise_m):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker", "upper"), noise_m)
-    rail = Series(T, {"rail": true[:, 0]})
-    assert not mocap.positions(Skeleton(file, columns, ["rail"]), Series(T, columns), [rail], Path("run.csv"))[1]
+def test_stamps_of_one_clock_are_not_corrected(arm, noise_m):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker", "upper"), noise_m)
+    rail = Series(T, {"rail": TRUE[:, 0]})
+    assert not mocap.positions(Skeleton(arm, columns, ["rail"]), Series(T, columns), [rail], Path("run.csv"))[1]
 
 
-def test_readings_at_another_time_are_refused(model):
-    file, true = model(), motion()
-    columns = tracked(file, true, ("tip", "elbow_marker"))
+def test_readings_at_another_time_are_refused(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
     with pytest.raises(TrialError, match=r"run.csv: motion capture and rail have no time in common; give them stamps"):
-        solved(file, columns, {"rail": true[:, 0]}, T + 100)
+        solved(arm, columns, {"rail": TRUE[:, 0]}, T + 100)
 
 
-def test_tracked_points_whose_joints_are_all_known_are_refused(model):
+def test_tracked_points_whose_joints_are_all_known_are_refused(arm):
     with pytest.raises(TrialError, match="every joint that moves carriage has a column of its own; leave `mocap` out"):
-        Skeleton(model(), ["carriage_x"], ["rail"])
+        Skeleton(arm, ["carriage_x"], ["rail"])
 
 
 @pytest.mark.parametrize("encoder_step_s", [0.004, 0.05])
@@ -398,7 +383,7 @@ def test_a_trial_has_the_joints_and_their_effects_and_not_the_points(rig):
     other.write_text(yaml.safe_dump(stage))
     elbow = next(t for t in tables.read(other) if t.name == "run-1/elbow")
     assert elbow.channels.keys() == {"measured", "command"}
-    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(TRUE[:, 3], abs=5e-3)
     assert elbow.stage.effects == {"gain": {"scale": 0.1}}
 
 
@@ -412,8 +397,8 @@ def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path)
     assert "(1 joints of the model are measured and points are tracked)" in file.read_text()
     elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
     assert elbow.channels["measured"].columns.keys() == {*JOINTS}
-    assert elbow.channels["measured"]["rail"] == pytest.approx(motion()[:, 0])
-    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+    assert elbow.channels["measured"]["rail"] == pytest.approx(TRUE[:, 0])
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(TRUE[:, 3], abs=5e-3)
     channels["base"] = channels.pop("measured")
     stage["trials"][0].update(files=dict.fromkeys(("mocap", "command"), "run-1.csv"))
     file.write_text(yaml.safe_dump(stage))
@@ -427,7 +412,7 @@ def test_fixed_points_are_found_though_they_never_move(tmp_path):
     assert "in the model's frame" not in file.read_text()
     assert len(yaml.safe_load(file.read_text())["channels"]["mocap"]["columns"]) == 15
     elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
-    assert elbow.channels["measured"]["elbow"] == pytest.approx(motion()[:, 3], abs=5e-3)
+    assert elbow.channels["measured"]["elbow"] == pytest.approx(TRUE[:, 3], abs=5e-3)
 
 
 def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
