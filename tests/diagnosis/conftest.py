@@ -1,6 +1,5 @@
 """A simulated test bench: the robot under an excitation, as noisy sensors see it."""
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -75,18 +74,6 @@ def _trial(name: str, frames: list[tuple[float, ...]], slow: list[tuple[float, .
     return Trial(name, name, Path(name), channels, "free")
 
 
-def _write(trial: Trial, folder: Path) -> Path:
-    """A trial as a folder that another stack might have recorded."""
-    folder.mkdir(parents=True)
-    (folder / "trial.yaml").write_text(f"kind: {trial.kind}\nrail: {trial.rail}\n")
-    for name, series in trial.channels.items():
-        with (folder / f"{name}.csv").open("w", newline="") as file:
-            out = csv.writer(file)
-            out.writerow(["t_capture" if name == "mocap" else "t", *series.columns])
-            out.writerows(zip(series.t_s.tolist(), *(v.tolist() for v in series.columns.values()), strict=True))
-    return folder
-
-
 # Excitation -> from which second of it on; 5 s of each make a campaign that is diagnosed in seconds.
 CAMPAIGN = {"pressure-multisine": 0.0, "both": 1.0, "rail-steps": 9.5, "rail-multisine": 1.7}
 LENGTH_S, MOCAP_LATE_S, FRAMES_A_TICK = 5.0, 0.004, 4
@@ -133,9 +120,3 @@ def campaign() -> Callable[..., tuple[Trial, ...]]:
 def record() -> Callable[..., Trial]:
     """Record an excitation on the bench; equal recordings are made once."""
     return _record
-
-
-@pytest.fixture(scope="session")
-def write() -> Callable[[Trial, Path], Path]:
-    """Write a trial as a trial folder."""
-    return _write

@@ -1,5 +1,6 @@
 """Trial folders of CSV or Parquet files: exact values, and errors that name file, column and row."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +14,25 @@ from softarm.diagnosis.data.read import read_all, sources
 from softarm.diagnosis.data.trials import Series, TrialError
 
 
+def write(trial, folder):
+    """Write a trial as a folder that another stack might have recorded."""
+    folder.mkdir(parents=True)
+    (folder / "trial.yaml").write_text(f"kind: {trial.kind}\nrail: {trial.rail}\n")
+    for name, series in trial.channels.items():
+        with (folder / f"{name}.csv").open("w", newline="") as file:
+            out = csv.writer(file)
+            out.writerow(["t_capture" if name == "mocap" else "t", *series.columns])
+            out.writerows(zip(series.t_s.tolist(), *(v.tolist() for v in series.columns.values()), strict=True))
+    return folder
+
+
 @pytest.fixture(scope="module")
 def short(record):
     return record("pressure-multisine", length_s=1.0)
 
 
 @pytest.fixture
-def written(short, write, tmp_path):
+def written(short, tmp_path):
     return write(short, tmp_path / "campaign" / "one")
 
 
@@ -77,7 +90,7 @@ def test_an_invalid_trial_yaml_is_rejected(written):
         folder.read(written)
 
 
-def test_the_order_of_inputs_does_not_matter(short, write, tmp_path):
+def test_the_order_of_inputs_does_not_matter(short, tmp_path):
     a, b = write(short, tmp_path / "a"), write(short, tmp_path / "b")
     assert [t.name for t in read_all([b, a])] == [t.name for t in read_all([a, b])] == ["a", "b"]
     assert sources(tmp_path) == (a, b)
@@ -124,7 +137,7 @@ def test_a_column_with_and_without_its_unit_is_rejected(written):
 
 
 @pytest.fixture
-def in_parquet(short, write, tmp_path):
+def in_parquet(short, tmp_path):
     place = write(short, tmp_path / "one")
     for file in place.glob("*.csv"):
         parquet.write_table(arrow_csv.read_csv(file), file.with_suffix(".parquet"))
@@ -149,7 +162,7 @@ def test_an_untracked_marker_is_a_null(short, in_parquet):
     assert np.isnan(folder.read(in_parquet).channels["mocap"]["link3_y"]).tolist() == [True] + [False] * (len(seen) - 1)
 
 
-def test_one_channel_in_two_files_is_rejected(short, in_parquet, write):
+def test_one_channel_in_two_files_is_rejected(short, in_parquet):
     write(short, in_parquet.parent / "other")
     (in_parquet.parent / "other" / "rail.csv").rename(in_parquet / "rail.csv")
     with pytest.raises(TrialError, match=r"contains rail\.csv and rail\.parquet; remove one of them"):

@@ -1,6 +1,6 @@
 """Whitening: coloured noise comes out white and of size one, and nothing that touches a gap is counted."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,15 +9,6 @@ from scipy.signal import lfilter
 from softarm.diagnosis.engine.noise import ORDER, scaled, whitener
 
 LENGTH = 3000  # samples a trial
-
-
-@dataclass
-class _View:
-    """Part of a view that whitening needs."""
-
-    measured: np.ndarray
-    trial: np.ndarray
-    floor: np.ndarray
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +20,8 @@ def coloured():
 
 
 def _view(gap, floor=(1e-3, 1e-6)):
-    return _View(gap.copy(), np.repeat([0, 1], len(gap) // 2), np.array(floor))
+    """Return the part of a view that whitening needs."""
+    return SimpleNamespace(measured=gap.copy(), trial=np.repeat([0, 1], len(gap) // 2), floor=np.array(floor))
 
 
 def _correlation(values, lag):

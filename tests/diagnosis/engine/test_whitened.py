@@ -1,7 +1,5 @@
 """A whitened residual: a trial's unknown start is not held against a model, and nothing is simulated twice."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
@@ -11,20 +9,15 @@ from softarm.diagnosis.engine.whitened import BLOCK_S, START_PRIOR, Gaps, Whiten
 RATE_HZ, SAMPLES, CHANNELS = 60.0, (300, 240), 2
 
 
-@dataclass
 class _View:
     """Two trials whose gap is a sine of the size `view.effect.size`; it counts how often it is asked."""
 
-    acts: frozenset[str] = frozenset({"view.effect.size"})
-    asked: list[int] = field(default_factory=list)
+    acts = frozenset({"view.effect.size"})
+    t_s = np.concatenate([7.0 + np.arange(n) / RATE_HZ for n in SAMPLES])
+    trial = np.repeat(np.arange(len(SAMPLES)), SAMPLES)
 
-    @property
-    def t_s(self):
-        return np.concatenate([7.0 + np.arange(n) / RATE_HZ for n in SAMPLES])
-
-    @property
-    def trial(self):
-        return np.repeat(np.arange(len(SAMPLES)), SAMPLES)
+    def __init__(self):
+        self.asked = []
 
     def gap(self, points):
         self.asked.append(len(points))
@@ -32,11 +25,11 @@ class _View:
         return np.stack([p.get("view.effect.size", 0.0) * wave for p in points]).astype(np.float32)
 
 
-def _residual(view, starts=None, weight=1.0):
+def _residual(gaps, starts=None, weight=1.0):
     m = sum(SAMPLES)
     whiten = Whitener(np.ones((CHANNELS, 1), np.float32), np.ones((m, CHANNELS), np.float32))
     nuisances = np.stack([np.ones((m, CHANNELS)), np.repeat([[0.0, 2.0]], m, axis=0)]).astype(np.float32)
-    return WhitenedResidual(Gaps(view), whiten, nuisances, starts, weight)
+    return WhitenedResidual(gaps, whiten, nuisances, starts, weight)
 
 
 @pytest.fixture
@@ -53,7 +46,7 @@ def starts():
 
 
 def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see(view):
-    residual = _residual(view)
+    residual = _residual(Gaps(view))
     seen = residual.moments([{"view.effect.size": 1.0}, {"view.effect.size": 1.0, "other.effect.size": 9.0}])
     again = residual.moments([{"other.effect.size": 2.0, "view.effect.size": 1.0}])
     assert view.asked == [1]
@@ -61,7 +54,7 @@ def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see(view):
 
 
 def test_missing_points_are_simulated_in_one_batch(view):
-    residual = _residual(view)
+    residual = _residual(Gaps(view))
     residual.moments([{"view.effect.size": 1.0}])
     residual.moments([{"view.effect.size": float(i)} for i in range(5)])
     assert view.asked == [1, 4]
@@ -70,13 +63,12 @@ def test_missing_points_are_simulated_in_one_batch(view):
 def test_two_weightings_share_simulations(view):
     gaps = Gaps(view)
     for weight in (1.0, 2.0):
-        whiten = Whitener(np.ones((CHANNELS, 1), np.float32), np.ones((sum(SAMPLES), CHANNELS), np.float32))
-        WhitenedResidual(gaps, whiten, np.zeros((1, sum(SAMPLES), CHANNELS), np.float32), None, weight).moments([{}])
+        _residual(gaps, weight=weight).moments([{}])
     assert view.asked == [1]
 
 
 def test_moments_are_those_of_the_rows(view):
-    residual = _residual(view, weight=0.25)
+    residual = _residual(Gaps(view), weight=0.25)
     moments = residual.moments([{"view.effect.size": 2.0}])[0]
     expected = 0.5 * view.gap([{"view.effect.size": 2.0}])[0].ravel()
     np.testing.assert_allclose(moments.rows, expected, rtol=1e-5, atol=1e-6)
@@ -88,7 +80,7 @@ def test_moments_are_those_of_the_rows(view):
 def test_another_start_costs_no_more_than_its_prior(view, starts):
     """Twice the usual change of a start: thousands of squares without, a few with its directions projected out."""
     moved = 2.0 * starts[0]
-    bare, projected = _residual(view)._rows(moved[None])[0], _residual(view, starts)._rows(moved[None])[0]
+    bare, projected = _residual(Gaps(view))._rows(moved[None])[0], _residual(Gaps(view), starts)._rows(moved[None])[0]
     assert float(bare @ bare) > 1000
     assert float(projected @ projected) <= START_PRIOR * 2.0**2 * len(SAMPLES)
 
@@ -96,19 +88,19 @@ def test_another_start_costs_no_more_than_its_prior(view, starts):
 def test_trials_start_each_on_their_own(view, starts):
     moved = starts[0].copy()
     moved[SAMPLES[0] :] = 0.0
-    rows = _residual(view, starts)._rows(moved[None])[0]
+    rows = _residual(Gaps(view), starts)._rows(moved[None])[0]
     assert not rows[SAMPLES[0] * CHANNELS :].any()
     assert rows[: SAMPLES[0] * CHANNELS].any()
 
 
 def test_residuals_other_than_a_start_survive(view, starts):
     point = [{"view.effect.size": 1.0}]
-    bare, projected = _residual(view).moments(point)[0].rr, _residual(view, starts).moments(point)[0].rr
+    bare, projected = _residual(Gaps(view)).moments(point)[0].rr, _residual(Gaps(view), starts).moments(point)[0].rr
     assert 0.9 * bare < projected <= bare
 
 
 def test_blocks_hold_every_row_once_and_none_holds_two_trials(view):
-    residual = _residual(view)
+    residual = _residual(Gaps(view))
     trial = np.repeat(view.trial, CHANNELS)
     rows = [np.arange(len(trial))[part] for _, part in residual.blocks]
     np.testing.assert_array_equal(np.concatenate(rows), np.arange(len(trial)))
