@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tests.diagnosis.data.servo import table as text_of
 
 # Time, command and measured angle.
 T = np.arange(300) * 0.02
 U = 30 * np.sin(2 * T) + 5 * np.sign(np.sin(7 * T))
-Y = np.zeros(300)
-for _k in range(1, 300):
-    Y[_k] = Y[_k - 1] + 0.25 * (U[_k - 1] - Y[_k - 1])
+Y = lfilter([0.0, 0.25], [1.0, -0.75], U)
 
 
 @pytest.fixture

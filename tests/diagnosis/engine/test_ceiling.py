@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softarm.diagnosis.engine import ceiling
 from softarm.diagnosis.engine.ceiling import LAGS_S, beyond_chance, explainable, turned
@@ -137,10 +138,7 @@ HALVES, FIFTHS = BLOCKS % 2, BLOCKS % 5
 
 def _slow(seed, share=0.98):
     """Return noise whose error lasts for many samples, with unit variance."""
-    found, last = np.empty(SAMPLES), 0.0
-    for i, value in enumerate(_noise(seed)):
-        found[i] = last = share * last + np.sqrt(1 - share**2) * value
-    return found
+    return lfilter([np.sqrt(1 - share**2)], [1.0, -share], _noise(seed))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.equal_sets import Prediction
@@ -40,13 +41,10 @@ class _View(Gauge):
         self._measure(self.truth, NOISE, self.seed)
 
     def _predict(self, point):
-        time_s, seen = point.get(TIME, 0.0), []
+        time_s = point.get(TIME, 0.0)
         keep = np.exp(-1 / (RATE_HZ * time_s)) if time_s > 1e-6 else 0.0
-        level = self.inputs[:, 0].copy()
-        for now in self.inputs.T:
-            level = keep * level + (1 - keep) * now
-            seen.append(level)
-        return (1 + point.get(SCALE, 0.0)) * np.stack(seen, axis=1).ravel() + point.get(BIAS, 0.0)
+        seen, _ = lfilter([1 - keep], [1.0, -keep], self.inputs, zi=keep * self.inputs[:, :1])
+        return (1 + point.get(SCALE, 0.0)) * seen.ravel() + point.get(BIAS, 0.0)
 
 
 def _problem(view, nuisances=(ZERO,)):

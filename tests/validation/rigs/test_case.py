@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import lfilter
 
 from softarm.schemas.trial import StageFile
 from validation.rigs import excitation
@@ -130,9 +131,7 @@ def _left(run, lag_s, delay_s):
     dt = min(1e-3, lag_s / 50)
     t = np.arange(0, run.sent_s[-1], dt)
     held = run.sent["command"][np.maximum(np.searchsorted(run.sent_s + delay_s, t, side="right") - 1, 0)]
-    closes, at, reached = -np.expm1(-dt / lag_s), run.clean[1][0, 0], np.empty(len(t))
-    for i in range(len(t)):
-        reached[i] = at
-        at += closes * (held[i] - at)
+    closes = -np.expm1(-dt / lag_s)
+    reached, _ = lfilter([0.0, closes], [1.0, closes - 1.0], held, zi=run.clean[1][0])
     apart = run.clean[1][:, 0] - np.interp(run.stamps_s, t, reached)
     return np.sqrt(np.mean(apart[len(apart) // 10 :] ** 2))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from validation.rigs.cart import SPRING_ZETA, Controller, cart
 from validation.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
@@ -148,11 +149,8 @@ def test_a_cart_feels_its_force_after_the_exact_delay_and_lag():
     t = dt / fine * (np.arange(steps * fine) + 0.5)  # middles of small steps
     sample = np.floor((t - delay_s) / (each * dt)).astype(int)
     late = np.where(t < delay_s, 0.0, asked[np.maximum(sample, 0), 0])
-    now, kept, lagging = asked[(t / (each * dt)).astype(int), 1], math.exp(-dt / fine / lag_s), np.empty_like(t)
-    level = 0.0
-    for i, wanted in enumerate(now):
-        level += (wanted - level) * (1 - kept)
-        lagging[i] = level
+    kept = math.exp(-dt / fine / lag_s)
+    lagging = lfilter([1 - kept], [1.0, -kept], asked[(t / (each * dt)).astype(int), 1])
     for lane, force in enumerate((late, lagging)):
         speed = np.cumsum(force) * dt / fine / 2.0
         want = path[0, 0] + np.concatenate(([0.0], np.cumsum(speed) * dt / fine))[: steps * fine : fine]
