@@ -1,7 +1,6 @@
 """Mistakes in a rig's table: each gives one sentence with file, column or key, and the next step."""
 
 import re
-import warnings
 
 import numpy as np
 import pyarrow as pa
@@ -181,13 +180,11 @@ def assert_refused(rig, says):
 
 
 def refusal(stage):
-    """Return the error of reading a stage; warnings of numpy are errors too."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            tables.read(stage)
-        except TrialError as error:
-            return str(error)
+    """Return the error of reading a stage."""
+    try:
+        tables.read(stage)
+    except TrialError as error:
+        return str(error)
     return "nothing"
 
 
@@ -297,10 +294,7 @@ def _mostly_missing(rig):
 )
 def test_doubtful_data_are_read_with_a_warning(rig, change, says):
     change(rig)
-    stage = rig.write()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        (trial,) = tables.read(stage)
+    (trial,) = tables.read(rig.write())
     assert len(trial.warnings) <= 2, trial.warnings  # the same of each of two channels at most
     assert re.search(says, trial.warnings[-1]), trial.warnings
 

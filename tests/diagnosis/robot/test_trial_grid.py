@@ -75,8 +75,8 @@ def test_a_missing_tick_leaves_the_command_as_it_was():
 
 
 def test_gaps_are_not_bridged():
-    trial = _trial()
-    t, values = trial.channels["pressure"].t_s, trial.channels["pressure"]["pressure"]
+    pressure = _trial().channels["pressure"]
+    t, values = pressure.t_s, pressure["pressure"]
     here = ~(((t > 4.0) & (t < 4.5)) | ((t > 5.0) & (t < 5.04)))
     shown = on_grid([_trial(pressure=Series(t[here], {"pressure": values[here]}))], MODEL)
     grid, seen = shown.t_s[:, 0], np.isfinite(shown.pressure_kpa[:, 0])
@@ -101,7 +101,8 @@ def test_the_cameras_drift_is_taken_out():
     draw = np.random.default_rng(0)
     true = 2.0 + np.arange(round(LENGTH_S * 120)) / 120
     stamps = 2.0 + (true - 2.0) * (1 - 5e-4)
-    poses = {name: np.interp(true, *_of(_trial(), "mocap", name)) for name in mocap_columns()}
+    still = _trial().channels["mocap"]
+    poses = {name: np.interp(true, still.t_s, still[name]) for name in mocap_columns()}
     poses["cart_y"] = 0.05 * np.sin(2 * np.pi * (true - 2.0))
     poses["t_receive"] = true + 0.004 + 0.001 * draw.random(len(true))
     shown = on_grid([_trial(mocap=Series(stamps, poses))], MODEL)
@@ -110,10 +111,6 @@ def test_the_cameras_drift_is_taken_out():
     left = np.sqrt(np.mean((shown.cart_y_m[late, 0] - wanted) ** 2))
     untouched = np.interp(shown.t_s[late, 0], stamps, poses["cart_y"])
     assert left < 0.2 * np.sqrt(np.mean((untouched - wanted) ** 2))
-
-
-def _of(trial, channel, column):
-    return trial.channels[channel].t_s, trial.channels[channel][column]
 
 
 def test_a_steady_delay_of_reception_is_no_drift():
