@@ -45,26 +45,16 @@ def starts():
     return np.stack([np.stack((decay, 0 * t), axis=1), np.stack((0 * t, decay), axis=1)]).astype(np.float32)
 
 
-def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see(view):
-    residual = _residual(Gaps(view))
+def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see_and_for_all_weightings(view):
+    gaps = Gaps(view)
+    residual = _residual(gaps)
     seen = residual.moments([{"view.effect.size": 1.0}, {"view.effect.size": 1.0, "other.effect.size": 9.0}])
     again = residual.moments([{"other.effect.size": 2.0, "view.effect.size": 1.0}])
+    _residual(gaps, weight=2.0).moments([{"view.effect.size": 1.0}])
     assert view.asked == [1]
     assert seen[0] is seen[1] is again[0]
-
-
-def test_missing_points_are_simulated_in_one_batch(view):
-    residual = _residual(Gaps(view))
-    residual.moments([{"view.effect.size": 1.0}])
     residual.moments([{"view.effect.size": float(i)} for i in range(5)])
-    assert view.asked == [1, 4]
-
-
-def test_two_weightings_share_simulations(view):
-    gaps = Gaps(view)
-    for weight in (1.0, 2.0):
-        _residual(gaps, weight=weight).moments([{}])
-    assert view.asked == [1]
+    assert view.asked == [1, 4]  # the missing ones in one batch
 
 
 def test_moments_are_those_of_the_rows(view):

@@ -20,15 +20,10 @@ def truth(*causes, category="single", clarity=20.0):
 
 
 def reply(verdict, *groups, confidence=0.99):
-    effects = [
-        {
-            "name": f"servo.{first}",
-            "equivalents": [f"servo.{n}" for n in rest],
-            "confidence": confidence,
-            "parameters": {},
-        }
-        for first, *rest in groups
-    ]
+    effects = []
+    for group in groups:
+        first, *rest = (f"servo.{name}" for name in group)
+        effects.append({"name": first, "equivalents": rest, "confidence": confidence, "parameters": {}})
     return {"verdict": {"verdict": verdict, "effects": effects}, "failure": "", "seconds": 3.0}
 
 
