@@ -8,6 +8,7 @@ import yaml
 
 from softarm.diagnosis.describe.joints import ModelJoint
 from tests.cli.invoke import invoke
+from tests.diagnosis.describe.conftest import T
 from validation.mechanisms.record import ROBOTS, Truth, record
 
 
@@ -79,12 +80,8 @@ def test_joints_actuators_and_units_are_found_and_the_check_lists_each_column_on
 def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
     degrees = [(old, new, 57.29578 if old != "t" else 1.0) for old, new, _ in USUAL]
     _, stage = described(tmp_path, columns, [(old, new.replace("tilt", "tilt_deg"), s) for old, new, s in degrees])
-    units = {
-        use["source"]: use["unit"]
-        for name in ("measured", "command")
-        for use in stage["channels"][name]["columns"].values()
-    }
-    assert set(units.values()) == {"deg"}
+    uses = [*stage["channels"]["measured"]["columns"].values(), *stage["channels"]["command"]["columns"].values()]
+    assert {use["unit"] for use in uses} == {"deg"}
 
 
 @pytest.mark.parametrize(("actuator", "unit"), [("position", "deg"), ("motor", "rad")])
@@ -201,8 +198,7 @@ def test_a_command_has_the_unit_of_its_actuator(tmp_path, actuator, unit):
     model = tmp_path / "gripper.xml"
     servo = actuator.format('name="grip" joint="finger"')
     model.write_text(f"<mujoco><worldbody>{body}</worldbody><actuator>{servo}</actuator></mujoco>")
-    t = np.arange(0, 5, 0.02)
-    _, text = new_rig(tmp_path, model, {"t": t, "grip": 3 * np.sin(t), "finger": 0.3 + 0.15 * np.sin(t - 0.1)})
+    _, text = new_rig(tmp_path, model, {"t": T, "grip": 3 * np.sin(T), "finger": 0.3 + 0.15 * np.sin(T - 0.1)})
     assert yaml.safe_load(text)["channels"]["command"]["columns"]["grip"]["unit"] == unit
 
 
@@ -222,9 +218,8 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
         '<framepos name="apart" objtype="site" objname="upper_mark" reftype="site" refname="lower_mark"/>'
         "</sensor></mujoco>"
     )
-    t = np.arange(0, 5, 0.02)
     names = ("servo", encoder, "marker_x", "marker_y", "marker_z", "apart_x")
-    table = {"t": t} | {name: 0.5 * np.sin(t - 0.1 * place) for place, name in enumerate(names)}
+    table = {"t": T} | {name: 0.5 * np.sin(T - 0.1 * place) for place, name in enumerate(names)}
     channels = yaml.safe_load(new_rig(tmp_path, model, table)[1])["channels"]
     assert {name: use["source"] for name, use in channels["measured"]["columns"].items()} == {"upper": encoder}
     assert {name: use["source"] for name, use in channels["mocap"]["columns"].items()} == {
@@ -248,8 +243,7 @@ def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, an
         f"</worldbody><actuator>{actuator}</actuator>"
         '<sensor><jointactuatorfrc name="load_cell" joint="upper"/></sensor></mujoco>'
     )
-    t = np.arange(0, 5, 0.02)
-    channels, text = channels_of(tmp_path, model, {"t": t, angle: 0.5 * np.sin(t), torque: np.cos(3 * t)})
+    channels, text = channels_of(tmp_path, model, {"t": T, angle: 0.5 * np.sin(T), torque: np.cos(3 * T)})
     assert channels.keys() == {"measured", "torque"}
     upper = channels["torque"]["columns"]["upper"]
     assert (upper["source"], upper["unit"].replace(" ", "")) == (torque, "Nm")

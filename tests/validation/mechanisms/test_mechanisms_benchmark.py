@@ -57,24 +57,18 @@ def test_the_right_joint_is_the_one_with_a_known_cause():
     assert benchmark.joint_right({"causes": [COGGING]}, answer(verdict="unknown")) is None
 
 
-@pytest.mark.parametrize(("low", "held"), [(0.2, [True]), (0.35, [False])])
-def test_an_interval_is_compared_with_the_true_size(low, held):
-    reply = answer(["elbow.coulomb_friction"], ["wrist.damping"])
-    sizes = [{"torque": {"low": low, "high": 0.4}, "give": {"low": 0, "high": 1}}, {"viscous": {"low": 0, "high": 1}}]
+@pytest.mark.parametrize(("low", "held"), [(0.2, True), (0.35, False)])
+def test_an_interval_is_compared_with_the_true_size_and_once_if_joints_share_it(low, held):
+    reply = answer(["elbow.coulomb_friction"], ["wrist.damping"], ["elbow.payload"], ["wrist.payload"])
+    tried, wide = {"low": low, "high": 0.4}, {"low": 0, "high": 1}
+    sizes = [{"torque": tried, "give": wide}, {"viscous": wide}, {"mass": tried}, {"mass": tried}]
     for effect, parameters in zip(reply["verdict"]["effects"], sizes, strict=True):
         effect["parameters"] = parameters
-    truth = {"causes": [FRICTION | {"sizes": {"elbow.coulomb_friction.torque": 0.3}}]}
-    assert [*benchmark.intervals(truth, reply).values()] == held
+    own, shared = {"elbow.coulomb_friction.torque": 0.3}, {"*.payload.mass": 0.3, "*.tilt.x": 0.1}
+    truth = {"causes": [FRICTION | {"sizes": own}, {"sizes": shared}]}
+    found = benchmark.intervals(truth, reply)
+    assert found == {"elbow.coulomb_friction.torque": held, "*.payload.mass": held}
     assert benchmark.intervals(truth, {"verdict": None}) == {}
-
-
-@pytest.mark.parametrize(("low", "held"), [(0.2, True), (0.35, False)])
-def test_a_size_that_joints_share_counts_once(low, held):
-    reply = answer(["elbow.payload"], ["wrist.payload"])
-    for effect in reply["verdict"]["effects"]:
-        effect["parameters"] = {"mass": {"low": low, "high": 0.4}}
-    truth = {"causes": [{"sizes": {"*.payload.mass": 0.3, "*.tilt.x": 0.1}}]}
-    assert benchmark.intervals(truth, reply) == {"*.payload.mass": held}
 
 
 def test_the_true_tilt_is_the_angle_that_a_diagnosis_names():

@@ -89,13 +89,8 @@ def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_err
     out = axis(command[:501], [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
     assert np.diff(out[125:500, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
     hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
-    out = axis(
-        command,
-        [{"lag_s": 0.1, "friction_up": hold / (0.01 * INNER_SHARE), "friction_down": 1.0}, {}],
-        np.zeros(2),
-        dt,
-        False,
-    )
+    held_back = {"lag_s": 0.1, "friction_up": hold / (0.01 * INNER_SHARE), "friction_down": 1.0}
+    out = axis(command, [held_back, {}], np.zeros(2), dt, False)
     assert 1 - out[-1, 0] == pytest.approx(hold, rel=0.03)
     assert out[-1, 1] == pytest.approx(1.0, abs=1e-4)
 
