@@ -2,33 +2,23 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from softarm.common.batch import Workers
 from softarm.diagnosis import many
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.diagnosis.many import Options
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 from tests.cli.trial_folder import write_trial
-from tests.diagnosis.verdicts import effect, gap, rms, verdict
+from tests.diagnosis.report.cases import CASES
 
-BEFORE, AFTER, FLOOR = (rms("kPa", pressure=value) for value in (2.0, 1.0, 0.2))
-NAMED = verdict(
-    "named",
-    effect("pressure.dead_time", confidence=0.9, delay=(0.06, 0.05, 0.07, "s")),
-    stage="pressure",
-    share={"pressure": 1.0},
-    gaps=gap(BEFORE, AFTER, FLOOR),
-)
-UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": ()})
 HERE = Workers(1)
 
 
@@ -42,10 +32,9 @@ def asked(monkeypatch, tmp_path):
         asked.models.append(model)
         asked.budgets.append(budget_s)
         asked.processes.add(processes)
-        t = np.arange(30) / 30
-        overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
-        found, patched = (NAMED, Model()) if trials[0].name != "quiet" else (UNKNOWN, None)
-        return Diagnosis(found, model, None, (("a", "seed", 1.0),), (overlay,), seconds=3.0, calibrated=patched)
+        if trials[0].name == "quiet":
+            return replace(CASES["unknown"], nominal=model)
+        return replace(CASES["named"], nominal=model, calibrated=Model())
 
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
     monkeypatch.chdir(tmp_path)
@@ -61,7 +50,7 @@ def test_each_input_has_its_files_and_all_have_one_page_and_one_table(asked):
     outcome = invoke("diagnose", *ROBOTS, "--out", "reports", "--workers", 1, "--budget", 7)
     assert outcome.exit_code == 0, outcome.output
     out = Path("reports")
-    assert Verdict.model_validate_json((out / "one.json").read_text()) == NAMED
+    assert Verdict.model_validate_json((out / "one.json").read_text()) == CASES["named"].verdict
     assert model_file.load(out / "one.yaml") == Model()
     assert not (out / "two.yaml").exists()
     rows = json.loads((out / "index.json").read_text())
@@ -72,9 +61,9 @@ def test_each_input_has_its_files_and_all_have_one_page_and_one_table(asked):
     page = (out / "index.html").read_text()
     assert page.index('href="two.html"') < page.index('href="one.html"')
     assert page.count("<tr>") == 3
-    assert "took 3 s" not in (out / "one.html").read_text()
+    assert "took 12 s" not in (out / "one.html").read_text()
     output = " ".join(outcome.output.replace("│", " ").split())
-    assert "90 %" in output
+    assert "94 %" in output
     assert "two: no --model and no model.yaml with the trials" in output
     assert (asked.budgets, asked.processes) == ([7.0, 7.0], {1})
     assert asked.models == [Model(), Model(effects={})]
