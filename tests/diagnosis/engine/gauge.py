@@ -4,7 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Search
+
+ELSEWHERE = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: it changes nothing
 
 
 class Gauge:
@@ -43,3 +47,9 @@ def channel(trials, length, step_s=1 / 60, **more):
     number = np.arange(trials * length)
     stamps = step_s * (number % length)
     return SimpleNamespace(channels=("state",), floor=np.ones(1), trial=number // length, t_s=stamps, **more)
+
+
+def search_in(view, effects, thresholds, nuisance=ELSEWHERE, kinds=("turns", "turns")):
+    """Return the search for effects in a view."""
+    setup = Setup([view], (nuisance,), kinds)
+    return Search(setup.weighed(), setup.plain(), ("stage",), effects, thresholds)

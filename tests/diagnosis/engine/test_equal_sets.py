@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine import equal_sets
-from softarm.diagnosis.engine.candidates import Candidate, Nuisance
+from softarm.diagnosis.engine.candidates import Candidate
 from softarm.diagnosis.engine.equal_sets import Prediction
-from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Gauge, candidate, search_in
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 12.0, 0.02
 # Every effect is a mixture of the same two signals, except the last, which is another signal.
@@ -51,10 +49,9 @@ def chosen(request):
     """Return chosen(truth, *names): the search, the fitted set of these names, and the null model."""
 
     def made(truth, *names):
-        setup = Setup([_View(truth)], (Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3),), ("turns", "turns"))
         candidates = tuple(candidate(f"stage.{name}.size", -4.0, 4.0, 0.2, 0.2, -0.2) for name in MIXTURES)
         candidates = (SHAPED, *candidates) if "shaped" in names else candidates
-        search = Search(setup.weighed(), setup.plain(), ("stage",), candidates, request.param)
+        search = search_in(_View(truth), candidates, request.param)
         own = tuple(c for c in candidates if c.name.removeprefix("stage.") in names)
         null_model = search.null_model()
         return search, search.problem.fit([(own, tuple(c.starts[0] for c in own))])[0], null_model

@@ -12,7 +12,7 @@ from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.fits import COARSE, EDGE_COST, NUDGE, nudged
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import ELSEWHERE, Gauge, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")
@@ -23,7 +23,6 @@ TRUE = {SCALE: 0.3, TIME: 0.15, BIAS: 0.2}
 GAIN = candidate(SCALE, -0.5, 0.5, 0.1, 0.1, -0.1)
 LAG = candidate(TIME, 0.0, 1.0, 0.1, 0.05, 0.4)
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
-UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no column of it is anything but zero
 
 
 @dataclass
@@ -203,7 +202,7 @@ def test_held_out_data_do_not_change_their_own_fit(fold):
 
 def test_the_held_out_loss_is_that_of_the_held_out_parameters():
     view = _View(truth={SCALE: 0.3})
-    problem = _problem(view, (UNSEEN,))
+    problem = _problem(view, (ELSEWHERE,))
     fit = _fit(problem, GAIN)
     folds = np.array([sorted(KINDS).index(KINDS[trial]) for trial, _ in problem.blocks])
     for fold in range(3):

@@ -8,9 +8,8 @@ import pytest
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Gauge, candidate, search_in
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 PACE, LEVEL = "stage.pace.rate", "stage.level.height"
@@ -19,7 +18,6 @@ REFITTING = replace(RIG, search=replace(RIG.search, refit=True))
 
 
 WAVES = tuple(f"stage.wave{i}.size" for i in range(8))
-ELSEWHERE = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)
 RATE = candidate(PACE, -4.0, 4.0, 0.3, 0.4, -0.4)
 HEIGHT = candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
 
@@ -40,12 +38,6 @@ class _View(Gauge):
         return np.sin((3.0 + point.get(PACE, 0.0)) * self.t_s) + point.get(LEVEL, 0.0)
 
 
-def _searched(view, effects, thresholds, nuisance=ELSEWHERE, kinds=("turns", "turns")):
-    """Return the search for effects in a view."""
-    setup = Setup([view], (nuisance,), kinds)
-    return Search(setup.weighed(), setup.plain(), ("stage",), effects, thresholds)
-
-
 @pytest.mark.parametrize(
     ("thresholds", "begun", "ends"),
     [
@@ -56,7 +48,7 @@ def _searched(view, effects, thresholds, nuisance=ELSEWHERE, kinds=("turns", "tu
     ],
 )
 def test_only_a_refitting_search_leaves_a_wrong_minimum(thresholds, begun, ends):
-    search = _searched(_View(), (RATE, HEIGHT), thresholds)
+    search = search_in(_View(), (RATE, HEIGHT), thresholds)
     both = search.problem.fit([((RATE, HEIGHT), ((begun,), (0.1,)))])[0]
     assert both.point[PACE] == pytest.approx(begun, abs=0.3)
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
@@ -66,7 +58,7 @@ def test_only_a_refitting_search_leaves_a_wrong_minimum(thresholds, begun, ends)
 @pytest.mark.parametrize(("thresholds", "height", "kept"), [(RIG, 0.03, 1), (RIG, 0.08, 2), (ROBOT, 0.03, 2)])
 def test_a_rig_gets_no_further_effect_within_two_floors(thresholds, height, kept, monkeypatch):
     """A zero of 1.5 floors is nobody's gap alone, so it is none beside another effect, however sure; one of four is."""
-    search = _searched(_View(height), (RATE, HEIGHT), thresholds)
+    search = search_in(_View(height), (RATE, HEIGHT), thresholds)
     search.null_model()
     monkeypatch.setattr(search, "is_gain", lambda gain: True)
     both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (height,)))])[0]
@@ -92,7 +84,7 @@ class _Waves(Gauge):
 def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_the_cause(predicted, monkeypatch):
     monkeypatch.setattr("softarm.diagnosis.engine.search.PREDICTED", predicted)
     effects = tuple(candidate(path, -2.0, 2.0, 0.3, 0.3) for path in WAVES)
-    search = _searched(_Waves(), effects, RIG)
+    search = search_in(_Waves(), effects, RIG)
     search.null_model()
     (fit,) = search.problem.fit([(effects, ((0.4,), (0.44,), *[(0.01,)] * 6))])
     sizes, reduced = [], search.reduced
@@ -108,7 +100,7 @@ def test_half_of_the_unnecessary_effects_go_at_once_but_never_all_that_express_t
 def test_a_search_begins_again_without_an_effect_at_its_bound(restarts, fits, monkeypatch):
     """Both effects that express the swing end at their bound; without them nothing does."""
     effects = tuple(candidate(path, -2.0, 0.05, 0.3, 0.05) for path in WAVES[:4])
-    search = _searched(_Waves(), effects, replace(RIG, search=replace(RIG.search, restarts=restarts)))
+    search = search_in(_Waves(), effects, replace(RIG, search=replace(RIG.search, restarts=restarts)))
     pools, full = [], search.full
     monkeypatch.setattr(search, "full", lambda null, pool: (pools.append(len(pool)), full(null, pool))[1])
     assert search.backward(search.null_model(), lambda text, share: None).names == ()
@@ -125,7 +117,7 @@ def test_only_good_candidates_get_a_full_fit(monkeypatch):
 
     def extended(**budget):
         thresholds = replace(ROBOT, search=replace(ROBOT.search, rounds=7, rounds_rough=1, **budget))
-        search = _searched(_View(), (RATE, HEIGHT), thresholds)
+        search = search_in(_View(), (RATE, HEIGHT), thresholds)
         base = search.null_model()
         fits.clear()
         monkeypatch.setattr(FitProblem, "fit", counted)
@@ -186,5 +178,5 @@ def test_no_missing_effect_is_named_if_a_parameter_within_its_tolerance_explains
     own = candidate("stage.gain.scale", 0.2, 3.0, 0.3, 1.3, 0.7, nominal=1.0, tolerance=0.2)
     new = candidate("stage.cubic.strength", -1.0, 1.0, 0.3, 0.2, -0.2, tolerance=tolerance)
     nuisance = Nuisance("stage.gain.scale", 1.0, 0.97, 1.03)
-    search = _searched(_Amplifier(**law), [replace(own, constant=True), new], ROBOT, nuisance, ("sine", "other"))
+    search = search_in(_Amplifier(**law), [replace(own, constant=True), new], ROBOT, nuisance, ("sine", "other"))
     assert search.run(lambda what, share: None).chosen.names == names

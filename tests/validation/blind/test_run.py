@@ -35,23 +35,18 @@ def names_gain(trials, model):
     return Diagnosis(found, model, patched, (), margins={"pressure.gain": 0.4})
 
 
-@pytest.fixture(scope="module", autouse=True)
-def stand_in():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(run.METHODS, "diagnose", names_gain)
-        yield
-
-
 @pytest.fixture(scope="module")
-def answered(stand_in, tmp_path_factory):
-    """Return a folder with data, their sealed labels and the frozen answers."""
+def answered(tmp_path_factory):
+    """Replace the diagnosis, and return a folder with data, their sealed labels and the frozen answers."""
     folder = tmp_path_factory.mktemp("blind")
     for seed, case in enumerate(CASES):
         record(lambda t: (0.2, 9.0), folder / "data" / case / "trial-1", 0.5, seed=seed, kind="step")
         model_file.save(Model(), folder / "data" / case / "model.yaml")
     seal.write_labels(LABELS, folder / "sealed" / "labels.json", folder / "data")
-    run.run(folder / "data", folder / "answers.json", workers=Workers(1))
-    return folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(run.METHODS, "diagnose", names_gain)
+        run.run(folder / "data", folder / "answers.json", workers=Workers(1))
+        yield folder
 
 
 @pytest.fixture
