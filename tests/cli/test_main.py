@@ -9,7 +9,7 @@ from softarm import cli
 from softarm.cli.groups import Verb
 from softarm.cli.main import VERBS
 from softarm.cli.page import commands_of
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 
 HEAVY = {"numba", "torch", "mujoco", "fastapi", "uvicorn", "zenoh", "onnxruntime", "matplotlib", "scipy", "ray"}
 NAMES = [name for section in VERBS.values() for name in section]
@@ -30,8 +30,7 @@ def test_help_lists_every_verb_and_imports_nothing_heavy():
 @pytest.mark.parametrize("name", NAMES)
 def test_every_verb_has_help_with_an_example_of_itself(name):
     for path, command in commands_of(name):
-        result = invoke(*path.split()[1:], "--help")
-        assert result.exit_code == 0
+        result = succeed(*path.split()[1:], "--help")
         assert path in result.output.partition("Example")[2]
         assert command.get_short_help_str()
 
@@ -49,10 +48,8 @@ def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatc
     monkeypatch.setattr("softarm.cli.__path__", [*cli.__path__, str(tmp_path)])
     monkeypatch.setitem(VERBS["Run"], "needy", Verb("needy_verb:verb", "Needs it.", "train"))
     result = invoke("needy")
-    assert result.exit_code == 1
-    assert result.stderr == (
-        "softarm needy needs the package 'a_package_that_is_not_there': pip install 'softarm[train]'\n"
-    )
+    message = "softarm needy needs the package 'a_package_that_is_not_there': pip install 'softarm[train]'\n"
+    assert (result.exit_code, result.stderr) == (1, message)
 
 
 def test_tools_of_makers_are_listed_below_dev_alone():
@@ -87,6 +84,4 @@ def test_a_defect_is_one_line_and_with_debug_a_traceback(monkeypatch, tmp_path):
 
 def test_a_name_that_is_too_long_for_a_file_is_no_defect():
     for verb in ("diagnose", "evaluate"):
-        result = invoke(verb, "n" * 300)
-        assert result.exit_code == 1, verb
-        assert "nnn...: no file system holds a name that long; name another file" in result.stderr
+        refuse("nnn...: no file system holds a name that long; name another file", verb, "n" * 300)

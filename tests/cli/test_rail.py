@@ -21,7 +21,7 @@ from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning import session
 from softarm.drivers.rail.settings import Settings
 from softarm.schemas.policy import Observation
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 from tests.drivers.rail.commissioning.conftest import TwinWorld
 from tests.processes import free_port
 
@@ -58,15 +58,11 @@ class Bench(TwinWorld):
         if self.drive.reference.searching:
             self.on_the_way()
 
-    def softarm(self, *words: str, **how: Any) -> Result:
-        return invoke("rail", words[0], "--config", self.file, *words[1:], **how)
+    def softarm(self, verb: str, *words: str) -> Result:
+        return succeed("rail", verb, "--config", self.file, *words)
 
-    def refuses(self, message: str, *words: str, **how: Any) -> Result:
-        """Run a command that has to fail with a message."""
-        answer = self.softarm(*words, **how)
-        assert answer.exit_code == 1
-        assert message in answer.output
-        return answer
+    def refuses(self, message: str, verb: str, *words: str, **how: Any) -> Result:
+        return refuse(message, "rail", verb, "--config", self.file, *words, **how)
 
 
 @pytest.fixture
@@ -87,7 +83,6 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, served: Any) -> Itera
 
 def test_home_prints_the_motion_homes_and_disables_the_drive(bench: Bench) -> None:
     answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 0, answer.output
     assert (
         f"The robot of {bench.file} will move: the cart, by the drive at 127.0.0.1:{bench.server.port}, anywhere "
         "between the ends of its 0.6 m of travel, at 0.05 m/s and back at 0.01 m/s, by the drive's homing method 17 "
@@ -144,7 +139,7 @@ def test_a_reason_against_homing_is_reported_before_any_motion(bench: Bench, bef
 
 def test_the_reset_fault_option_clears_a_fault_before_homing(bench: Bench) -> None:
     bench.drive.trip(0x8611)
-    assert bench.softarm("home", "--yes", "--reset-fault").exit_code == 0
+    bench.softarm("home", "--yes", "--reset-fault")
 
 
 def test_ctrl_c_brakes_and_reports_the_state(bench: Bench) -> None:
@@ -153,9 +148,7 @@ def test_ctrl_c_brakes_and_reports_the_state(bench: Bench) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     bench.on_the_way, before = interrupt, signal.getsignal(signal.SIGINT)
-    answer = bench.softarm("home", "--yes")
-    assert answer.exit_code == 130
-    assert "the cart was braked and the drive is off; the search was NOT finished" in answer.output
+    bench.refuses("the cart was braked and the drive is off; the search was NOT finished", "home", "--yes", code=130)
     assert bench.drive.state is DriveState.READY
     assert bench.position_m > -0.02
     assert signal.getsignal(signal.SIGINT) is before
@@ -171,17 +164,9 @@ def test_with_a_relay_homing_waits_for_di7(bench: Bench) -> None:
         bench.drive.remote = bench.now_ns - begun_ns > 1.2e9
 
     bench.pause = closes  # type: ignore[method-assign]
-    answer = bench.softarm("home", "--yes", "--relay")
-    assert answer.exit_code == 0, answer.output
+    bench.softarm("home", "--yes", "--relay")
     bench.pause, bench.drive.remote = hand, False  # type: ignore[method-assign]
     bench.refuses("or check the connection of the board (docs/hardware/firmware.md)", "home", "--yes", "--relay")
-
-
-@pytest.mark.parametrize("speed", ["0.5", "0", "nan"])
-def test_a_speed_out_of_range_is_refused(bench: Bench, speed: str) -> None:
-    answer = bench.softarm("home", "--yes", "--speed", speed)
-    assert answer.exit_code == 2
-    assert bench.position_m == 0.0
 
 
 # The middle
@@ -191,15 +176,13 @@ def test_centre_measures_the_middle_and_writes_it_on_request(bench: Bench) -> No
     bench.push()
     before = bench.file.read_text()
     answer = bench.softarm("centre", "--seconds", "8")
-    assert answer.exit_code == 0, answer.output
     assert "Push the cart by hand, slowly" in answer.output
     assert "travel 0.600 m, from -0.0130 to 0.5870 m on the axis" in answer.output
     assert "drivers.rail.centre_m: 0.287  (is 0.3)" in answer.output
     assert "nothing was written" in answer.output
     assert bench.file.read_text() == before
     assert bench.drive.state is DriveState.SWITCH_ON_DISABLED
-    answer = bench.softarm("centre", "--seconds", "8", "--write")
-    assert answer.exit_code == 0, answer.output
+    bench.softarm("centre", "--seconds", "8", "--write")
     assert bench.file.read_text() == before.replace("  rail:\n", "  rail:\n    centre_m: 0.287\n")
     answer = bench.softarm("centre", "--seconds", "8", "--write")
     assert "drivers.rail is correct and was not changed" in answer.output
@@ -222,13 +205,10 @@ def test_without_a_terminal_centre_needs_a_duration(bench: Bench) -> None:
     bench.refuses("with --seconds", "centre")
 
 
-@pytest.mark.parametrize(
-    ("url", "code"), [("robot", 2), ("ftp://robot", 2), ("http://[", 1), ("http://127.0.0.1:1", 1)]
-)
-def test_a_daemon_named_by_url_must_answer(bench: Bench, url: str, code: int) -> None:
+@pytest.mark.parametrize("url", ["http://[", "http://127.0.0.1:1"])
+def test_a_daemon_named_by_url_must_answer(bench: Bench, url: str) -> None:
     bench.push()
-    answer = bench.softarm("centre", "--seconds", "5", "--url", url)
-    assert answer.exit_code == code
+    bench.refuses(f"no daemon at {url}: ", "centre", "--seconds", "5", "--url", url)
     assert bench.server._master is None
 
 
@@ -262,7 +242,7 @@ def asked(bench: Bench, daemon: Any, make_status: Any, monkeypatch: pytest.Monke
     def ask(seen: Seen, *words: str, simulated: bool = False) -> Result:
         daemon.answers["GET", "/api/robot"] = deque([(200, {"simulated": simulated})])
         daemon.answers["GET", "/api/status"] = deque((200, seen(make_status)) for _ in range(200))
-        return bench.softarm("centre", "--seconds", "4", "--url", daemon.url, *words)
+        return invoke("rail", "centre", "--config", bench.file, "--seconds", 4, "--url", daemon.url, *words)
 
     return ask
 

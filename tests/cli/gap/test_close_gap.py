@@ -42,10 +42,3 @@ def test_the_result_shows_the_ways_and_the_written_files(campaign, tmp_path, mon
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["spent"].keys() == {"diagnose", "old", "adaptive"}
     assert summary["judged_on"] == place
-
-
-def test_existing_results_are_not_overwritten(campaign, tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
-    outcome = invoke("close-gap", campaign, "--out", tmp_path)
-    assert outcome.exit_code == 1
-    assert "already holds summary.json; name a new --out" in outcome.output

@@ -5,7 +5,7 @@ import pytest
 
 from softarm.cli.gap import new_rig
 from softarm.diagnosis.data import tables
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 
 T = np.arange(200) * 0.02
 COMMAND, MEASURED = 30 * np.sin(3 * T), 30 * np.sin(3 * (T - 0.1))
@@ -27,8 +27,7 @@ def runs(tmp_path, monkeypatch):
 
 
 def test_the_written_file_is_checked_and_the_next_command_printed(runs, tmp_path):
-    result = invoke("new", "rig", runs, "--name", "servo", "--nominal", "lag_s=0.1")
-    assert result.exit_code == 0, result.output
+    result = succeed("new", "rig", runs, "--name", "servo", "--nominal", "lag_s=0.1")
     lines = result.stdout.splitlines()
     assert "wrote stage.yaml" in lines
     assert "stage.yaml: valid; 2 trials of servo (tracking)" in lines
@@ -42,8 +41,7 @@ def test_the_written_file_is_checked_and_the_next_command_printed(runs, tmp_path
 
 
 def test_every_key_of_the_written_file_is_explained(runs, tmp_path):
-    result = invoke("new", "rig", runs)
-    assert result.exit_code == 0
+    result = succeed("new", "rig", runs)
     assert "next: complete `model:` in stage.yaml with the values of your simulator, then\n" in result.stdout
     lines = (tmp_path / "stage.yaml").read_text().splitlines()
     for key in ("name:", "kind:", "channels:", "model:", "trials:"):
@@ -65,8 +63,7 @@ def test_every_key_of_the_written_file_is_explained(runs, tmp_path):
 def test_an_option_that_the_kind_does_not_use_is_refused(runs, tmp_path, model, option, value, says):
     (tmp_path / "arm.xml").write_text('<mujoco><worldbody><body><joint name="angle"/><geom size="1"/></body>'
                                       "</worldbody></mujoco>")  # fmt: skip
-    result = invoke("new", "rig", *model, runs, option, value)
-    assert (result.exit_code, says in " ".join(result.stderr.split())) == (2, True), result.output
+    refuse(says, "new", "rig", *model, runs, option, value, code=2)
     assert not (tmp_path / "stage.yaml").exists()
 
 
@@ -78,8 +75,8 @@ def test_a_file_is_not_overwritten_silently(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(new_rig, "is_terminal", lambda: True)
     assert invoke("new", "rig", runs, input="n\n").exit_code == 1
     assert (tmp_path / "stage.yaml").read_text() == "mine"
-    assert invoke("new", "rig", runs, input="y\n").exit_code == 0
-    assert invoke("new", "rig", runs, "--overwrite").exit_code == 0
+    succeed("new", "rig", runs, input="y\n")
+    succeed("new", "rig", runs, "--overwrite")
 
 
 @pytest.fixture
@@ -103,13 +100,12 @@ def test_without_a_terminal_missing_facts_are_errors_with_their_options(bare, tm
         " add e.g. --unit c=UNIT",
     ]
     assert not (tmp_path / "stage.yaml").exists()
-    assert invoke("new", "rig", bare, "--kind", "tracking", "--unit", "b=deg", "--unit", "c=deg").exit_code == 0
+    succeed("new", "rig", bare, "--kind", "tracking", "--unit", "b=deg", "--unit", "c=deg")
 
 
 def test_at_a_terminal_missing_facts_are_asked_for_until_they_fit(bare, tmp_path, monkeypatch):
     monkeypatch.setattr(new_rig, "is_terminal", lambda: True)
-    result = invoke("new", "rig", bare, input="\nfoot\ndeg\ndeg\n")
-    assert result.exit_code == 0, result.output
+    result = succeed("new", "rig", bare, input="\nfoot\ndeg\ndeg\n")
     assert "Kind of mechanism (the headers do not show it)" in result.output
     assert "--unit b=foot: no unit 'foot'" in result.stderr
     (trial,) = tables.read(tmp_path / "stage.yaml")

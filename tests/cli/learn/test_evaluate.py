@@ -9,11 +9,11 @@ import pytest
 from softarm.evaluation import runner, table, tests
 from softarm.policies.base import MODELS
 from softarm.schemas import flights
-from tests.cli.invoke import invoke
+from tests.cli.invoke import refuse, succeed
 
 
 def run(*arguments):
-    return invoke("evaluate", *arguments)
+    return succeed("evaluate", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,6 @@ def test_trained_policies_are_shown_with_their_spread_and_the_papers_results(run
         *("--all", "--runs", runs, "--only", "mine", "--only", "pid", "--test", "grid", "--workers", 1),
         *("--json", tmp_path / "all.json", "--report", page),
     )
-    assert result.exit_code == 0, result.output
     shown = json.loads((tmp_path / "all.json").read_text())
     mine = shown["policies"]["mine"]["all"]
     assert len(mine["values"]) == 2
@@ -77,12 +76,11 @@ def test_trained_and_configured_policies_are_compared_with_shipped_ones(configur
     file = tmp_path / "trained.onnx"
     file.symlink_to(MODELS / "shelf.onnx")
     names = (str(file), "my-reach", "pid")
-    result = run(
+    run(
         *names,
         *("--config", configured, "--model", "no-delay", "--test", "shelf", "--workers", 1),
         *("--json", tmp_path / "all.json", "--report", tmp_path / "all.html"),
     )
-    assert result.exit_code == 0, result.output
     table = json.loads((tmp_path / "all.json").read_text())
     assert set(table["policies"]) == set(names)
     assert {tuple(row) for row in table["policies"].values()} == {("shelf@no-delay",)}
@@ -94,9 +92,7 @@ def test_trained_and_configured_policies_are_compared_with_shipped_ones(configur
 def test_a_trained_file_is_evaluated_alone(monkeypatch):
     few = flights.grid()[::20]
     monkeypatch.setattr(flights, "grid", lambda: few)
-    result = run(MODELS / "reach.onnx")
-    assert result.exit_code == 0, result.output
-    assert "x real time" in result.output
+    assert "x real time" in run(MODELS / "reach.onnx").output
 
 
 def test_an_error_of_numpy_in_a_flight_is_a_defect(monkeypatch):
@@ -104,9 +100,7 @@ def test_an_error_of_numpy_in_a_flight_is_a_defect(monkeypatch):
         raise ValueError("operands could not be broadcast together")
 
     monkeypatch.setattr(runner, "evaluate", fly)
-    result = run("reach")
-    assert result.exit_code == 70
-    assert "a defect in softarm" in result.stderr
+    refuse("a defect in softarm", "evaluate", "reach", code=70)
 
 
 @pytest.fixture
@@ -124,8 +118,7 @@ def measured(monkeypatch):
 
 def test_files_folders_and_names_stand_in_one_table_in_their_order(runs, measured, tmp_path):
     names = [str(MODELS / "shelf.onnx"), str(runs), "reach", str(runs / "mine" / "seed-1"), "pid"]
-    result = run(*names, "--workers", 1, "--json", tmp_path / "all.json")
-    assert result.exit_code == 0, result.output
+    run(*names, "--workers", 1, "--json", tmp_path / "all.json")
     table = json.loads((tmp_path / "all.json").read_text())
     assert list(table["policies"]) == [names[0], f"{runs}/mine", *names[2:]]
     assert table["seeds"][f"{runs}/mine"] == [1, 2]
@@ -133,16 +126,13 @@ def test_files_folders_and_names_stand_in_one_table_in_their_order(runs, measure
 
 def test_files_and_folders_are_added_to_all_policies(runs, measured, tmp_path):
     folder = str(runs / "mine" / "seed-1")
-    result = run("--all", folder, "--only", "pid", "--test", "shelf", "--workers", 1)
-    assert result.exit_code == 0, result.output
+    run("--all", folder, "--only", "pid", "--test", "shelf", "--workers", 1)
     assert measured == [(folder, "shelf"), ("pid", "shelf")]
 
 
 def test_a_policy_that_cannot_be_used_is_refused_before_anything_flies(measured, tmp_path):
     (tmp_path / "damaged.onnx").write_text("no model")
-    result = run("pid", tmp_path / "damaged.onnx", "--workers", 1)
-    assert result.exit_code == 1
-    assert "damaged.onnx" in result.stderr
+    refuse("damaged.onnx", "evaluate", "pid", tmp_path / "damaged.onnx", "--workers", 1)
     assert measured == []
 
 
@@ -154,10 +144,5 @@ def test_the_film_shows_the_policy(monkeypatch, tmp_path):
     (tmp_path / "short.yaml").write_text("goals: {time_limit_s: 0.2}\n")
     monkeypatch.setattr("softarm.evaluation.film.AFTER_TICKS", 3)
     film = (MODELS / "shelf.onnx", "--film", "a.gif", "--target", -0.45, 0.6, "--config", "short.yaml")
-    result = run(*film, "--workers", 1)
-    assert result.exit_code == 2
-    assert "--workers goes with a comparison" in result.stderr
-    result = run(*film)
-    assert result.exit_code == 0, result.output
-    assert "shelf.onnx, target y -0.45, z 0.6 m" in result.output
+    assert "shelf.onnx, target y -0.45, z 0.6 m" in run(*film).output
     assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")

@@ -9,14 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.invoke import invoke
+from tests.cli.invoke import refuse, succeed
 
 ROOT = Path(__file__).parents[3]
 KINDS = {"policy": "lean-over", "task": "gentle", "source": "my-cameras"}
-
-
-def new(*arguments: str | Path):
-    return invoke("new", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +21,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     packages = {}
     for kind, name in KINDS.items():
         packages[kind] = folder = tmp_path_factory.mktemp("new") / kind
-        result = new(kind, name, "--out", folder)
-        assert result.exit_code == 0, result.output
+        succeed("new", kind, name, "--out", folder)
         project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
         info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
         info.mkdir()
@@ -82,9 +77,7 @@ def test_new_packages_pass_strict_type_checks(written: dict[str, Path]) -> None:
 
 
 def test_the_written_files_and_the_next_commands_are_printed(tmp_path: Path) -> None:
-    result = new("policy", "lean", "--out", tmp_path / "lean")
-    assert result.exit_code == 0
-    lines = result.stdout.splitlines()
+    lines = succeed("new", "policy", "lean", "--out", tmp_path / "lean").stdout.splitlines()
     wrote, following = lines[: lines.index("next:")], lines[lines.index("next:") + 1 :]
     files = sorted(path for path in (tmp_path / "lean").rglob("*") if path.is_file())
     assert sorted(wrote) == [f"wrote {file}" for file in files]
@@ -95,37 +88,7 @@ def test_the_written_files_and_the_next_commands_are_printed(tmp_path: Path) -> 
     ]
 
 
-def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.md").write_text("mine")
-    result = new("policy", "lean", "--out", tmp_path / "mine")
-    assert result.exit_code == 1
-    assert "mine: exists and is not overwritten; choose another --out" in result.stderr
-    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.md"]
-    assert new("policy", "lean", "--out", tmp_path / "mine" / "thesis.md").exit_code == 2
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "text"),
-    [
-        ("policy", "Lean", "'Lean' is no valid name of a policy: allowed are lower-case letters, digits and single"),
-        ("policy", "../lean", "allowed are lower-case letters"),
-        ("policy", "l" * 41, "at most 40 characters"),
-        ("policy", "lambda", "'lambda' is a keyword of Python; choose another name, such as my-lambda"),
-        ("policy", "reach-wide", "the policy 'reach-wide' exists already"),
-        ("source", "zenoh", "the source 'zenoh' exists already"),
-        ("task", "shelf", "the task 'shelf' exists already"),
-    ],
-)
-def test_an_invalid_or_taken_name_is_refused(kind: str, name: str, text: str, tmp_path: Path) -> None:
-    result = new(kind, name, "--out", tmp_path / "out")
-    assert result.exit_code == 1
-    assert text in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_name_of_an_installed_module_is_refused(install, tmp_path: Path) -> None:
     install("softarm_lean", "")
-    result = new("policy", "lean", "--out", tmp_path / "out")
-    assert result.exit_code == 1
-    assert "the module softarm_lean is already installed; choose another name" in result.stderr
+    message = "the module softarm_lean is already installed; choose another name"
+    refuse(message, "new", "policy", "lean", "--out", tmp_path / "out")

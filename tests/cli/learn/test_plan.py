@@ -7,7 +7,7 @@ import pytest
 
 from softarm.policies.plans import Plans
 from softarm.training.trajectory import ceiling
-from tests.cli.invoke import invoke
+from tests.cli.invoke import succeed
 
 
 @pytest.fixture
@@ -19,9 +19,7 @@ def small(monkeypatch):
 
 def test_plan_writes_plans_and_results(small, tmp_path):
     out, results = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
-    arguments = ["dev", "plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(results)]
-    result = invoke(*arguments)
-    assert result.exit_code == 0, result.output
+    result = succeed("dev", "plan", "--target", -0.2, 0.6, "--start", 0, "--out", out, "--json", results)
     plans = Plans.load(out)
     np.testing.assert_allclose(plans.target_m, [[-0.2, 0.6]], atol=1e-6)
     assert plans.model == "seed"
@@ -34,8 +32,7 @@ def test_needs_prints_and_writes_what_reaches_a_missed_target(monkeypatch, tmp_p
     need = ceiling.Need(np.float32([0.0, 0.75]), 0.1, values, 0.09)
     monkeypatch.setattr(ceiling, "of_missed", lambda *_: [need])
     results = tmp_path / "needs.json"
-    result = invoke("dev", "plan", "--needs", "--json", str(results))
-    assert result.exit_code == 0, result.output
+    result = succeed("dev", "plan", "--needs", "--json", results)
     for words in ("0.00, 0.75", "rail half-length (m), now 0.25", "0.33", "not by 36"):
         assert words in result.output
     assert json.loads(results.read_text())["rows"][0]["values"] == values

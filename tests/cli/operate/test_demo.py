@@ -1,24 +1,18 @@
 """Tests of `softarm demo` and its exit code."""
 
 import pytest
-from click.testing import Result
 
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
-from tests.cli.invoke import invoke
+from tests.cli.invoke import refuse, succeed
 
 pytestmark = pytest.mark.timeout(120)
-
-
-def demo(logs, *arguments) -> Result:
-    return invoke("demo", "--targets", "1", "--logs", logs, *arguments)
 
 
 # Over 3 s: the start of a daemon and a twin, and a flight in real time.
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
-    result = demo(tmp_path)
-    assert result.exit_code == 0, result.output
+    result = succeed("demo", "--targets", 1, "--logs", tmp_path)
     first, *_, following, other = result.stdout.splitlines()
     assert first.startswith("watch it at http://127.0.0.1:")
     assert "1 of 1 reached, no limit exceeded" in result.output
@@ -30,9 +24,8 @@ def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
 @pytest.mark.prove
 @pytest.mark.realtime
 def test_a_refusal_of_the_daemon_fails_the_demo(tmp_path):
-    result = demo(tmp_path, "--policy", "hold")
-    assert result.exit_code == 1
-    assert "the policy 'hold' does not move to targets" in result.output
+    message = "the policy 'hold' does not move to targets"
+    refuse(message, "demo", "--targets", 1, "--logs", tmp_path, "--policy", "hold")
 
 
 def test_the_error_of_a_child_process_is_printed(monkeypatch, tmp_path):
@@ -41,7 +34,5 @@ def test_the_error_of_a_child_process_is_printed(monkeypatch, tmp_path):
         raise SoftwareInTheLoopError("softarm twin needs the package 'numba': pip install 'softarm[sim]'")
 
     monkeypatch.setattr(SoftwareInTheLoop, "__enter__", without_an_extra)
-    done = invoke("demo", "--logs", tmp_path)
-    assert done.exit_code == 1
+    done = refuse("pip install 'softarm[sim]'", "demo", "--logs", tmp_path)
     assert done.stdout.startswith("watch it at http://127.0.0.1:")  # before anything starts
-    assert "pip install 'softarm[sim]'" in done.output

@@ -14,7 +14,7 @@ from softarm.schemas.config import Api
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.log import LogEntry
 from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse
 
 RUNNING = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
 
@@ -331,9 +331,7 @@ def test_status_as_json_is_the_unchanged_answer_of_the_api(softarm, daemon, make
 
 def test_a_missing_token_names_the_option(softarm, daemon):
     daemon.on("GET", "/api/status", {"detail": "send `Authorization: Bearer TOKEN`", "reasons": []}, code=401)
-    result = softarm("status")
-    assert result.exit_code == 1
-    assert "give it with --token-file FILE or $SOFTARM_TOKEN" in result.stderr
+    result = refuse("give it with --token-file FILE or $SOFTARM_TOKEN", "status")
     assert "Bearer" not in result.stderr
 
 
@@ -355,24 +353,20 @@ def test_a_missing_daemon_is_reported_with_the_command_to_start_it():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, not listening: refuses
         url = f"http://127.0.0.1:{taken.getsockname()[1]}"
-        result = invoke("status", "--url", url)
-    assert result.exit_code == 1
-    assert result.stderr == (f"no daemon at {url}: start one with `softarm run --config FILE`, or name its --url\n")
+        refuse(
+            f"no daemon at {url}: start one with `softarm run --config FILE`, or name its --url", "status", "--url", url
+        )
 
 
 def test_a_daemon_that_does_not_answer_times_out(monkeypatch):
     monkeypatch.setattr("softarm.cli.shared.client.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        result = invoke("stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}")
-    assert result.exit_code == 1
-    assert "has not answered for 0.05 s" in result.stderr
+        refuse("has not answered for 0.05 s", "stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}")
 
 
 def test_a_broken_connection_is_reported(softarm, daemon):
     daemon.hang_up("GET", "/api/status")
-    result = softarm("status")
-    assert result.exit_code == 1
-    assert f"the connection to {daemon.url} broke" in result.stderr
+    refuse(f"the connection to {daemon.url} broke", "status")
 
 
 def test_a_token_file_overrides_the_token_of_the_environment(softarm, daemon, tmp_path, monkeypatch, make_status):
@@ -385,13 +379,10 @@ def test_a_token_file_overrides_the_token_of_the_environment(softarm, daemon, tm
     (tmp_path / "token").write_text("from-file\n")
     softarm("status", "--token-file", tmp_path / "token")
     assert daemon.headers["Authorization"] == "Bearer from-file"
-    result = softarm("status", "--token-file", tmp_path / "none")
-    assert result.exit_code == 1
-    assert "none: cannot be read" in result.stderr
+    refuse("none: cannot be read", "status", "--token-file", tmp_path / "none")
     (tmp_path / "token").write_text("schlüssel")
-    result = softarm("status", "--token-file", tmp_path / "token")
-    assert result.exit_code == 1
-    assert "token: is no token; allowed are letters, digits and other printable ASCII characters; name" in result.stderr
+    message = "token: is no token; allowed are letters, digits and other printable ASCII characters; name"
+    refuse(message, "status", "--token-file", tmp_path / "token")
 
 
 def test_proxies_of_the_environment_are_ignored(softarm, daemon, monkeypatch, make_status):
@@ -404,9 +395,7 @@ def test_proxies_of_the_environment_are_ignored(softarm, daemon, monkeypatch, ma
 def test_a_newer_api_is_refused_except_for_a_stop(softarm, daemon, make_status):
     daemon.extra_headers = {"softarm-api": "2"}
     daemon.on("POST", "/api/acknowledge", make_status())
-    result = softarm("acknowledge")
-    assert result.exit_code == 1
-    assert "uses version 2 of the API, this command version 1: update softarm here" in result.stderr
+    refuse("uses version 2 of the API, this command version 1: update softarm here", "acknowledge")
     assert daemon.headers["softarm-api"] == "1"
     daemon.on("POST", "/api/stop", make_status())
     assert softarm("stop").exit_code == 0

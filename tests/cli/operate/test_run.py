@@ -9,7 +9,7 @@ import pytest
 
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.logbook import logs
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse
 from tests.processes import running, said, until
 
 pytestmark = pytest.mark.timeout(120)
@@ -103,7 +103,5 @@ def test_a_port_in_use_leaves_no_log(tmp_path, verb):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         config = write(tmp_path / "c.yaml", f"api: {{port: {port}}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
-        result = invoke(*verb, config)
-    assert result.exit_code == 1
-    assert f"api.port {port}: cannot listen there, process {os.getpid()} (" in result.stderr
+        refuse(f"api.port {port}: cannot listen there, process {os.getpid()} (", *verb, config)
     assert os.listdir(tmp_path) == ["c.yaml"]

@@ -14,7 +14,7 @@ from softarm.drivers.twin.faults import described
 from softarm.evaluation.robots import with_effects
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, exemplars
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 from tests.processes import WAIT_S, free_port, running, said
 
 CONFIG = str(Path(__file__).parents[3] / "twin.yaml")
@@ -24,18 +24,16 @@ def test_a_missing_mujoco_package_names_the_extra(monkeypatch: pytest.MonkeyPatc
     for module in ("softarm.drivers.bodies.independent", "softarm.reality.robot", "softarm.reality.plant"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    answer = invoke("twin", "--config", CONFIG, "--reality")
-    assert answer.exit_code == 1
-    assert "pip install 'softarm[mujoco]'" in answer.output
+    refuse("pip install 'softarm[mujoco]'", "twin", "--config", CONFIG, "--reality")
 
 
 def test_the_fault_list_shows_ranges_without_a_configuration() -> None:
-    output = invoke("twin", "--fault", "list").output
+    output = succeed("twin", "--fault", "list").output
     for name, *_ in described():
         assert f" {name} " in output
     assert all(f" {name} " in output for name in REGISTRY)
     assert "0 to 0.1 s; 0.05 without" in output
-    assert " rail.delay_s " in invoke("twin", "--reality", "--fault", "list").output
+    assert " rail.delay_s " in succeed("twin", "--reality", "--fault", "list").output
 
 
 def test_a_fault_changes_the_effects_of_the_model() -> None:
@@ -50,9 +48,7 @@ def test_a_fault_changes_the_effects_of_the_model() -> None:
 def test_a_fault_without_a_daemon_is_refused(tmp_path: Path) -> None:
     config = tmp_path / "twin.yaml"
     config.write_text(f"drivers: {{mocap: {{endpoint: tcp/127.0.0.1:{free_port()}}}}}\n")
-    answer = invoke("twin", "fault", "mocap_freeze", "--config", config)
-    assert answer.exit_code == 1
-    assert "no daemon listens there; start `softarm run`" in answer.output
+    refuse("no daemon listens there; start `softarm run`", "twin", "fault", "mocap_freeze", "--config", config)
 
 
 # Over 3 s: `twin fault` waits 2 s for a twin that has ended.

@@ -8,7 +8,7 @@ import pytest
 
 from softarm.policies import registry, trial
 from softarm.schemas.excitation import EXCITATIONS
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 
 ROOT = Path(__file__).parents[3]
 
@@ -104,7 +104,7 @@ def logs(tmp_path_factory):
     lag = "pressure.lag: {inflate: 0.158, deflate: 0.221}"
     rail = "rail.delay: {delay: 0.06}, rail.acceleration_limit: {acceleration: 4}"
     model.write_text(f"effects: {{{lag}, {rail}}}\n")
-    played = ["excite", "rail-dashes", "--simulated", "--config", str(config), "--model", str(model)]
+    played = ["excite", "rail-dashes", "--simulated", "--config", config, "--model", model]
     usual = EXCITATIONS["rail-dashes"]
     fewer = replace(
         usual,
@@ -113,8 +113,7 @@ def logs(tmp_path_factory):
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EXCITATIONS, "rail-dashes", fewer)
-        result = invoke(*played)
-    assert result.exit_code == 0, result.output
+        succeed(*played)
     return folder
 
 
@@ -133,20 +132,15 @@ def test_limits_laxer_than_the_logs_show_are_reported(logs, tmp_path):
     assert "; lower it to " in braking
     assert "the rail" in result.stdout
     path.write_text("limits:\n  rail: {latency_s: 0.075, braking_m_s2: 1}\n")
-    assert invoke("check", path, "--logs", logs).exit_code == 0
+    succeed("check", path, "--logs", logs)
 
 
 @pytest.mark.usefixtures("trial_here")
 def test_a_folder_without_logs_is_refused_but_short_logs_are_accepted(tmp_path):
     path = tmp_path / "arm.yaml"
     path.write_text("")
-    result = invoke("check", path, "--logs", tmp_path)
-    assert result.exit_code == 1
-    assert result.stderr.startswith(f"{tmp_path}: contains no log; name the recorder.directory")
-    flown = ROOT / "tests" / "data"
-    result = invoke("check", path, "--logs", flown)
-    assert result.exit_code == 0
-    assert "59 required" in result.stdout
+    refuse(f"{tmp_path}: contains no log; name the recorder.directory", "check", path, "--logs", tmp_path)
+    assert "59 required" in succeed("check", path, "--logs", ROOT / "tests" / "data").stdout
 
 
 STAGE = """
@@ -173,8 +167,7 @@ def rig(tmp_path):
 
 
 def test_check_reads_every_trial_of_a_stage_file_in_its_units(rig):
-    result = invoke("check", rig)
-    assert result.exit_code == 0, result.output
+    result = succeed("check", rig)
     row = next(line for line in result.stdout.splitlines() if "two" in line and "pressure" in line)
     assert [cell for cell in row.split() if cell[0].isalnum()][-3:] == ["0", "1006", "mbar"]
     assert result.stdout.endswith(f"{rig}: valid; 2 trials of chamber (tracking)\n")
@@ -182,9 +175,7 @@ def test_check_reads_every_trial_of_a_stage_file_in_its_units(rig):
 
 def test_an_option_for_a_configuration_is_refused_for_a_stage_file(rig, tmp_path):
     for option in (["--all"], ["--json"], ["--simulated"], ["--logs", tmp_path]):
-        result = invoke("check", rig, *option)
-        assert result.exit_code == 2
-        assert "are for a configuration; omit them here" in result.stderr
+        refuse("are for a configuration; omit them here", "check", rig, *option, code=2)
 
 
 def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
@@ -195,9 +186,7 @@ def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
     one, *more = result.stderr.splitlines()
     assert one.startswith(f"{tmp_path}/one.csv: column t: 1 rows over 0 s; the command channel needs 2 rows")
     assert more[-1] == f"{tmp_path}/two.csv: no column p; it has t, u; correct the stage.yaml"
-    result = invoke("diagnose", rig)
-    assert result.exit_code == 1
-    assert one in result.stderr
+    refuse(one, "diagnose", rig)
 
 
 def test_check_prints_limits_and_mistakes_as_json(check, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from softarm.common.revision import PACKAGE
 from softarm.daemon.config.configuration import read
 from softarm.schemas.config import Config
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, succeed
 
 
 @pytest.fixture(autouse=True)
@@ -17,8 +17,7 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
 
 
 def test_a_new_file_is_the_packaged_one_and_the_next_command_is_printed():
-    done = invoke("config", "new")
-    assert done.exit_code == 0, done.output
+    done = succeed("config", "new")
     assert Path("softarm.yaml").read_text() == (PACKAGE / "softarm.yaml").read_text()
     assert "wrote softarm.yaml" in done.output
     assert "softarm run --config softarm.yaml" in done.output
@@ -29,8 +28,7 @@ def test_a_new_file_is_the_packaged_one_and_the_next_command_is_printed():
     [("--twin", "twin.yaml", "softarm twin --config"), ("--simulated", "softarm.yaml", "softarm run --simulated")],
 )
 def test_each_kind_of_robot_has_its_file(option, name, runs):
-    done = invoke("config", "new", option)
-    assert done.exit_code == 0, done.output
+    done = succeed("config", "new", option)
     assert runs in done.output
     assert isinstance(read(name).config, Config)
 

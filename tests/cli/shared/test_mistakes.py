@@ -29,6 +29,8 @@ def folder(tmp_path, monkeypatch, campaign):
     (tmp_path / "reach.onnx").touch()
     (tmp_path / "a.mcap").write_text("no log")
     (tmp_path / "table.csv").write_text("a;b;c\n0;1;2\n")
+    (tmp_path / "closed.before").mkdir()
+    (tmp_path / "closed.before" / "summary.json").touch()
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -75,6 +77,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("close-gap campaign --out closed --fault valve.stuck=1", "a group of regulator, rail, arm"),
         ("close-gap campaign --out closed --fault arm.payload_kg=heavy", "'heavy' is not a number"),
         ("close-gap campaign --out closed --fault arm.payload_kg=7", "allowed 0 to 0.5"),
+        ("close-gap campaign --out closed.before", "already holds summary.json; name a new --out"),
         ("config new softarm.yaml", "softarm.yaml: exists and was not changed"),
         (
             "config new no/mine.yaml",
@@ -103,8 +106,18 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("excite seed --reality --fault arm.paylod_kg=0.03", "write group.quantity=value"),
         ("identify nowhere --out m.yaml", "nowhere: does not exist; name an MCAP log, a trial folder"),
         ("identify nowhere --out m.yaml --json no/m.json", "no/m.json: the folder no does not exist"),
+        ("identify campaign --check campaign --out m.yaml", "given for the fit and for the check"),
         ("logs recover .", "a.mcap: not a log"),
         ("logs recover campaign", "campaign: no logs there; give the recorder's directory or a log"),
+        ("model export --mjcf no/arm.xml seed", "cannot be read or written"),
+        ("new policy Lean", "'Lean' is no valid name of a policy: allowed are lower-case letters, digits and single"),
+        ("new policy ../lean", "allowed are lower-case letters"),
+        ("new policy aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa", "at most 40 characters"),
+        ("new policy lambda", "'lambda' is a keyword of Python; choose another name, such as my-lambda"),
+        ("new policy lean --out campaign", "campaign: exists and is not overwritten; choose another --out"),
+        ("new policy reach-wide", "the policy 'reach-wide' exists already"),
+        ("new source zenoh", "the source 'zenoh' exists already"),
+        ("new task shelf", "the task 'shelf' exists already"),
         ("new rig nowhere", "nowhere: does not exist; name the files or folders"),
         ("new rig table.csv --out no/stage.yaml", "no/stage.yaml: the folder no does not exist"),
         ("run --simulated --config none.yaml", "none.yaml"),
@@ -130,6 +143,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
 @pytest.mark.parametrize(
     ("line", "message"),
     [
+        ("bridge calibrate --server 127.0.0.1", "name the end of the rail where the last push stops: --end +y or"),
         ("bridge natnet", "--server ADDRESS of the computer that runs Motive"),
         ("check", "Missing argument 'FILE'"),
         ("check softarm.yaml --data .", "--data is for the data files of a stage.yaml: name one as FILE"),
@@ -139,6 +153,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("diagnose", "Missing argument 'INPUT...'"),
         ("diagnose campaign --data .", "--data is for the data files of a stage.yaml"),
         ("diagnose campaign --report campaign", "is a directory"),
+        ("diagnose stage.yaml --limits limits.yaml", "--limits is for the rail of the robot"),
         ("diagnose stage.yaml --model seed", "is another rig and holds its own nominal model; omit --model"),
         ("doctor --url robot:8080", "e.g. http://127.0.0.1:8080"),
         ("doctor --url http://robot:port", "e.g. http://127.0.0.1:8080"),
@@ -149,6 +164,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("evaluate --only pid", "go with --all"),
         ("evaluate --target -0.3 0.6", "add --film FILE.gif"),
         ("evaluate --workers 2", "goes with a comparison"),
+        ("evaluate shelf --film a.gif --target -0.45 0.6 --workers 1", "--workers goes with a comparison"),
         ("excite", "no excitation named: `softarm excite --list` shows all"),
         ("excite seed", "no robot chosen: use --config FILE for real devices, --simulated, or --reality"),
         ("excite seed --simulated --fault arm.payload_kg=0.03", "add --reality"),
@@ -165,12 +181,22 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("goal xyzzy", "Try 'softarm goal --help' for help. Error: No such command 'xyzzy'."),
         ("incidents --out x.zip", "--out is for one file: give its NAME, or `latest`"),
         ("logs export --to xls a.mcap", "'xls' is not one of 'csv', 'parquet', 'foxglove'"),
+        (
+            "logs export --to csv a.mcap campaign/a.mcap",
+            "have one name, which also names the export; allowed is each name",
+        ),
         ("logs recover", "Missing argument 'PATHS...'"),
+        ("new policy lean --out a.mcap", "'a.mcap' is a file"),
         ("new rig", "Missing argument 'DATA...'"),
         ("new rig table.csv --rate 0", "--rate"),
         ("new rig table.csv --unit b", "--unit b: has no value; write --unit NAME=VALUE"),
         ("polcy", "Did you mean 'policy'?"),
         ("policy lits", "Did you mean 'list'?"),
+        ("rail centre --config softarm.yaml --seconds 5 --url robot", "e.g. http://127.0.0.1:8080"),
+        ("rail centre --config softarm.yaml --seconds 5 --url ftp://robot", "e.g. http://127.0.0.1:8080"),
+        ("rail home --config softarm.yaml --yes --speed 0", "0 is not in the range"),
+        ("rail home --config softarm.yaml --yes --speed 0.5", "0.5 is not in the range"),
+        ("rail home --config softarm.yaml --yes --speed nan", "allowed are finite numbers in the range 0.005<=x<=0.1"),
         ("run", "no robot chosen: use --config FILE for real devices"),
         ("run --simulated --foxglove 70000", "--foxglove 70000: allowed PORT or HOST:PORT, PORT 0 to 65535 (0: any)"),
         ("run --simulated --port 80800", "80800 is not in the range 0<=x<=65535"),
