@@ -1,7 +1,6 @@
 """The log player in a real browser: it shows the flight, and every control works."""
 
 import re
-import time
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from matplotlib.image import imread
 from softarm.daemon.logbook import logs
 from softarm.recordings import player
 from softarm.schemas.robot import RAIL_TRAVEL_M
+from tests.processes import until
 
 FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
 pytestmark = pytest.mark.slow
@@ -59,13 +59,6 @@ def opened(browser, file):
 def seconds(page):
     minutes, rest = re.match(r"(\d+):([\d.]+)", page.inner_text("#clock")).groups()
     return 60 * int(minutes) + float(rest)
-
-
-def until(page, condition):
-    """Wait for a condition on the page by polling, since its security policy forbids injected code."""
-    deadline = time.monotonic() + 10
-    while not page.evaluate(condition):
-        assert time.monotonic() < deadline, condition
 
 
 def settled(page):
@@ -125,7 +118,7 @@ def test_the_player_states_the_tips_error_at_every_moment(opened, ticks):
     page = opened()
     for t, inputs, outputs in ticks[130:200:23]:
         page.evaluate(f"location.hash = 't={t + 0.001:.3f}'")
-        until(page, f"Math.abs(document.getElementById('time').value - {t:.3f}) < 0.01")
+        assert settled(page) == pytest.approx(t, abs=0.01)
         tip, goal = inputs.mocap[-1].bodies[-1], outputs.goal.goal
         off_cm = 100 * ((tip.y_m - goal.y_m) ** 2 + (tip.z_m - goal.z_m) ** 2) ** 0.5
         said = float(re.search(r"tip ([\d.]+) cm off", page.inner_text("#now"))[1])
@@ -151,7 +144,7 @@ def test_the_player_works_by_keyboard_alone(opened, ticks):
     page.keyboard.press("Home")
     assert settled(page) == 0
     page.keyboard.press("Space")
-    until(page, "document.getElementById('time').value > 0.3")
+    until(lambda: float(page.input_value("#time")) > 0.3)
     page.keyboard.press("Space")
     assert page.get_attribute("[data-do=play]", "aria-pressed") == "false"
 
@@ -160,7 +153,7 @@ def test_the_player_has_the_chosen_speed_and_stops_at_the_end(opened, ticks):
     page = opened()
     page.select_option("#speed", "20")
     page.click("[data-do=play]")
-    until(page, "document.querySelector('[data-do=play]').getAttribute('aria-pressed') === 'false'")
+    until(lambda: page.get_attribute("[data-do=play]", "aria-pressed") == "false")
     assert seconds(page) == pytest.approx(ticks[-1][0], abs=0.006)
     page.select_option("#speed", "0.5")
     took_ms = page.evaluate(

@@ -49,8 +49,8 @@ def daemon(tmp_path_factory, browser):
 class Robot:
     """The daemon's REST API, without the page."""
 
-    def __init__(self, url: str) -> None:
-        self.client = http.client(url, timeout_s=60)
+    def __init__(self, url: str, headers: dict[str, str]) -> None:
+        self.client = http.client(url, headers, timeout_s=60)
 
     @property
     def status(self) -> dict:
@@ -79,9 +79,15 @@ class Robot:
 
 
 @pytest.fixture
-def robot(daemon):
+def authorization():
+    """Return the headers that the daemon requires."""
+    return {}
+
+
+@pytest.fixture
+def robot(daemon, authorization):
     """Yield the daemon's robot, disarmed."""
-    made = Robot(daemon.url)
+    made = Robot(daemon.url, authorization)
     with made.client:
         made.calm()
         yield made
@@ -116,14 +122,9 @@ class Watched:
         self._contexts, self._pages, self.wrong = [], [], []
         self._shared = None
 
-    def __call__(
-        self, look: bool = True, url: str | None = None, apart: bool = False, closed_streams: bool = False, **options
-    ):
-        """Open a page.
-
-        look: wait until it is live. url: of another daemon. apart: in a new context. closed_streams: block WebSockets.
-        """
-        context = self._context(options) if options or apart else self._desk
+    def __call__(self, look: bool = True, url: str | None = None, **options):
+        """Open a page. look: wait until it is live. url: of another daemon. options: of a new context."""
+        context = self._context(options) if options else self._desk
         context.set_default_timeout(TIMEOUT_MS)
         page = context.new_page()
         self._pages.append(page)
@@ -131,8 +132,6 @@ class Watched:
         page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
         page.on("request", self._request)
         page.on("response", self._response)
-        if closed_streams:
-            page.route_web_socket("**/api/stream**", lambda socket: socket.close())
         page.goto(url or self._url)
         if look:
             self._wait(page)
@@ -247,16 +246,3 @@ def _press(page, y_m: float, z_m: float, tap: bool = False) -> None:
 def started():
     """Return a context manager: started(tmp_path, port, **api) as daemon."""
     return running
-
-
-@pytest.fixture
-def asking():
-    """Yield asking(url), which returns the robot of another daemon."""
-    with contextlib.ExitStack() as made:
-
-        def ask(url: str) -> Robot:
-            robot = Robot(url)
-            made.callback(robot.client.close)
-            return robot
-
-        yield ask

@@ -4,14 +4,13 @@ import contextlib
 import json
 import shutil
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
-from tests.processes import WAIT_S
+from tests.processes import WAIT_S, until
 
 NAMES = ("firefox-esr", "firefox")
 EVENTS = ("log.entryAdded", "network.beforeRequestSent")
@@ -63,10 +62,7 @@ class Firefox:
         return result["result"].get("value")
 
     def until(self, expression: str) -> None:
-        deadline = time.monotonic() + WAIT_S
-        while not self.evaluate(expression):
-            assert time.monotonic() < deadline, expression
-            time.sleep(0.05)
+        until(lambda: self.evaluate(expression), expression)
 
     def press(self, key: str) -> None:
         actions = [{"type": kind, "value": key} for kind in ("keyDown", "keyUp")]

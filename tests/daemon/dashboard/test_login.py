@@ -23,11 +23,8 @@ def daemon(tmp_path_factory, browser, started):
 
 
 @pytest.fixture
-def robot(daemon, asking):
-    made = asking(daemon.url)
-    made.client.headers["Authorization"] = f"Bearer {TOKENS['command']}"
-    made.calm()
-    return made
+def authorization():
+    return {"Authorization": f"Bearer {TOKENS['command']}"}
 
 
 def log_in(page, token: str) -> None:
@@ -38,7 +35,7 @@ def log_in(page, token: str) -> None:
 # Over 3 s: a log-in in each of three roles.
 def test_a_log_in_has_the_rights_of_its_role_and_leaves_no_token_in_the_page(robot, opened, daemon, press):
     robot.arm()
-    page = opened(look=False, apart=True)
+    page = opened(look=False)
     page.locator("#login").wait_for()
     assert page.locator("#arm").is_hidden()
     log_in(page, "w" * 32)

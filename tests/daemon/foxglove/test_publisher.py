@@ -15,6 +15,7 @@ from softarm.daemon.assembly import Daemon
 from softarm.daemon.foxglove.publisher import QUEUE_MAX, FoxgloveError, FoxglovePublisher
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
+from tests.processes import until
 
 pytest.importorskip("foxglove")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
@@ -128,8 +129,7 @@ def test_a_client_that_does_not_read_delays_no_other(running):
         stuck.subscribe(*stuck.channels)
         viewer.subscribe("/state")
         viewer.until("/state")
-        while not seen:
-            time.sleep(0.001)
+        until(lambda: seen)
         for _ in range(500):  # some 5 MB
             publisher.take(seen[-1], [])
             time.sleep(0.0005)
