@@ -91,20 +91,12 @@ def test_a_mistake_in_the_file_is_reported(text: str, message: str, tmp_path: Pa
     refuse(message, "bridge", "natnet", "--config", path, "--server", "127.0.0.1")
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the required times at rest."""
-    monkeypatch.setattr("softarm.drivers.bridge.gathering.REST_NS", 300_000_000)
-    monkeypatch.setattr("softarm.drivers.bridge.gathering.STAND_NS", 300_000_000)
-
-
 def arm(cart_m: float) -> dict[str, Pose]:
     """Return the poses of an arm that hangs at rest below the cart."""
     return {name: Pose(cart_m + at.y_m, 0.965 + at.z_m, at.angle_rad) for name, at in rest_shape().items()}
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quick")
 def test_a_calibration_writes_a_file_with_which_the_arm_is_tracked(
     file: Path, stream: Streaming, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,6 +107,9 @@ def test_a_calibration_writes_a_file_with_which_the_arm_is_tracked(
             stream.motion = map(arm, path)
 
     monkeypatch.setattr("softarm.cli.bridge.warn", show)
+    # Shorter than the times at rest that a real arm needs.
+    monkeypatch.setattr("softarm.drivers.bridge.gathering.REST_NS", 300_000_000)
+    monkeypatch.setattr("softarm.drivers.bridge.gathering.STAND_NS", 300_000_000)
     stream.motion = iter([arm(-0.2)])
     out = tmp_path / "found.yaml"
     answer = ask("calibrate", "--config", file, "--end", "+y", "--out", out)

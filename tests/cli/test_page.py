@@ -97,11 +97,6 @@ def test_help_lists_every_exit_code():
     assert all(re.search(rf"\n +{code} +{re.escape(meaning[:20])}", help_text) for code, meaning in EXITS.items())
 
 
-def completed(words, number):
-    environment = {"_SOFTARM_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(number)}
-    return invoke(env=environment).output.split()
-
-
 @pytest.mark.parametrize(
     ("words", "number", "names"),
     [
@@ -125,7 +120,8 @@ def test_names_are_completed(tmp_path, monkeypatch, words, number, names):
     (tmp_path / "logs" / "incidents").mkdir(parents=True)
     for name in ("soft-1.mcap", "soft-2.mcap", "incidents/incident-1.zip"):
         (tmp_path / "logs" / name).touch()
-    assert completed(words, number) == names
+    environment = {"_SOFTARM_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(number)}
+    assert invoke(env=environment).output.split() == names
 
 
 def test_completion_prints_the_script_of_the_shell():

@@ -16,24 +16,15 @@ QUIET = rms("kPa", pressure=0.1)
 NONE = verdict("none", gaps=gap(QUIET, QUIET, QUIET))
 
 
-@pytest.fixture(autouse=True)
-def _no_gap(monkeypatch):
-    """Replace the diagnosis by one without a gap."""
-
-    def diagnose(trials, model, progress=None, processes=1, budget_s=120.0):
-        return Diagnosis(NONE, Model(), None, (("a", "seed", 1.0),))
-
-    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
-
-
 @pytest.mark.parametrize("declared", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_the_result_shows_the_ways_and_the_written_files(campaign, tmp_path, monkeypatch, declared):
+    without_a_gap = Diagnosis(NONE, Model(), None, (("a", "seed", 1.0),))
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", lambda *_, **__: without_a_gap)
     monkeypatch.setattr(fly, "TEST_TARGETS", (EASY,))
     monkeypatch.setattr(fly, "cores", lambda: 1)
     monkeypatch.setattr("softarm.cli.gap.close_gap.QUICK", fly.PART)
     own = ["--robot", "no-delay"] if declared else []
-    arguments = ["close-gap", str(campaign), "--out", str(tmp_path / "out"), "--policy", "reach", "--quick", *own]
-    outcome = invoke(*arguments)
+    outcome = invoke("close-gap", campaign, "--out", tmp_path / "out", "--policy", "reach", "--quick", *own)
     assert outcome.exit_code == 3, outcome.output  # keep the old one: the other one is as good
     place = "the held-out robot (no-delay)" if declared else "the nominal simulator"
     for words in ("old policy", "adaptive policy", f"flights on {place}", "No effect was named"):

@@ -3,21 +3,16 @@
 import json
 
 import numpy as np
-import pytest
 
 from softarm.policies.plans import Plans
 from softarm.training.trajectory import ceiling
 from tests.cli.invoke import succeed
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Reduce first guesses to the number that these targets need."""
+def test_plan_writes_plans_and_results(monkeypatch, tmp_path):
+    # As many first guesses as this target needs.
     monkeypatch.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
     monkeypatch.setattr("softarm.training.trajectory.planner.TRIES", 1)
-
-
-def test_plan_writes_plans_and_results(small, tmp_path):
     out, results = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
     result = succeed("dev", "plan", "--target", -0.2, 0.6, "--start", 0, "--out", out, "--json", results)
     plans = Plans.load(out)

@@ -10,7 +10,7 @@ import pytest
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.logbook import logs
 from tests.cli.invoke import invoke, refuse
-from tests.processes import running, said, until
+from tests.processes import WAIT_S, running, said, until
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -49,7 +49,9 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
             os.write(typist, b" ")
             until(lambda: shows("/api/status", "estop", "latched"))
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        output = process.communicate(timeout=WAIT_S)[0]
+    assert process.returncode == 0
+    assert output.endswith(f"ended: the drive is off, the muscle vented; {recording} is closed\n")
     os.close(typist)
     os.close(terminal)
     assert logs.read(recording).finished

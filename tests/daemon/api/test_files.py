@@ -70,21 +70,15 @@ def client(loop, app, client_of, config):
     return client_of(app(loop, config))
 
 
-def test_a_log_is_downloaded_unchanged(client, folder):
-    answer = client.get("/api/logs/flight.mcap")
-    assert answer.content == (folder / "flight.mcap").read_bytes()
+@pytest.mark.parametrize("name", ["flight.mcap", 'a "log" of Zoë;.mcap'])
+def test_a_log_with_any_name_is_downloaded_unchanged(client, folder, name):
+    (folder / "flight.mcap").rename(folder / name)
+    answer = client.get(f"/api/logs/{quote(name)}")
+    assert answer.content == (folder / name).read_bytes()
     assert answer.headers["content-length"] == str(3 * CHUNK_BYTES + 5)
-    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''flight.mcap"
+    assert answer.headers["content-disposition"] == f"attachment; filename*=UTF-8''{quote(name)}"
     assert answer.headers["x-content-type-options"] == "nosniff"
     assert answer.headers["content-type"] == "application/octet-stream"
-
-
-def test_a_log_with_any_name_is_downloaded(client, folder):
-    name = 'a "log" of Zoë;.mcap'
-    (folder / name).write_bytes(b"x")
-    answer = client.get(f"/api/logs/{quote(name)}")
-    assert answer.content == b"x"
-    assert answer.headers["content-disposition"] == f"attachment; filename*=UTF-8''{quote(name)}"
 
 
 def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeypatch, loop, app, client_of):

@@ -66,7 +66,7 @@ def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monke
         assert robot["run"] == client.get("/api/events").json()["run"]
         assert f"http://127.0.0.1:{daemon.stop_port}" in client.get("/").headers["content-security-policy"]
         with connect(daemon.url.replace("http", "ws", 1) + "/api/stream") as stream:
-            shown = [status(stream) for _ in range(30)]
+            shown = [json.loads(stream.recv(timeout=WAIT_S)) for _ in range(30)]
         columns = client.get("/api/recent").json()
     bodies = shown[-1]["bodies"]
     assert len(bodies) == len(BODY_NAMES)
@@ -78,7 +78,3 @@ def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monke
     both = [one for one in shown if one["tick"] in times]
     assert len(both) > 20
     assert [times[one["tick"]] for one in both] == pytest.approx([one["time"] for one in both], abs=0.005)
-
-
-def status(stream) -> dict:
-    return json.loads(stream.recv(timeout=WAIT_S))

@@ -19,10 +19,6 @@ def desk(browser):
     return browser.new_context(viewport={"width": 1280, "height": 860})
 
 
-def age_s(page) -> float:
-    return float(re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())[1])
-
-
 def round_trip_s(page) -> float:
     """Return the longest of three round trips of the browser, which shows the present load."""
     durations = []
@@ -73,7 +69,8 @@ def test_a_silent_connection_counts_as_lost_within_two_seconds(page, monkeypatch
     cut = time.monotonic()
     page.locator("#link[data-link=lost]").wait_for()
     assert time.monotonic() - cut < allowed_s
-    assert 0.9 < age_s(page) < allowed_s
+    age = re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())
+    assert 0.9 < float(age[1]) < allowed_s
     monkeypatch.undo()
     page.context.set_offline(False)
     page.unroute_all()
