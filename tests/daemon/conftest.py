@@ -185,6 +185,21 @@ def tokens(tmp_path):
     return write
 
 
+TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}
+
+
+@pytest.fixture
+def roles(tokens):
+    """Return the files of three tokens by their configuration keys."""
+    return tokens(**TOKENS)
+
+
+@pytest.fixture
+def strict(loop, app, client_of, roles):
+    """Return a client on another address, of an API that requires one of these tokens."""
+    return client_of(app(loop, Config(api={"host": "0.0.0.0"} | roles)), "http://robot.example")
+
+
 @pytest.fixture
 def app():
     """Return app(loop, config, **context), the application on this loop."""

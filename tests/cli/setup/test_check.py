@@ -9,6 +9,7 @@ import pytest
 from softarm.policies import registry, trial
 from softarm.schemas.excitation import EXCITATIONS
 from tests.cli.invoke import invoke, refuse, succeed
+from tests.diagnosis.rigs.recordings import SERVO
 
 ROOT = Path(__file__).parents[3]
 
@@ -143,34 +144,21 @@ def test_a_folder_without_logs_is_refused_but_short_logs_are_accepted(tmp_path):
     assert "59 required" in succeed("check", path, "--logs", ROOT / "tests" / "data").stdout
 
 
-STAGE = """
-name: chamber
-kind: tracking
-channels:
-  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: V}}}
-  measured: {time: {source: t, unit: s}, columns: {pressure: {source: p, unit: mbar}}}
-model: {gain: 500}
-trials:
-  - {name: one, kind: steps, files: one.csv}
-  - {name: two, kind: steps, files: two.csv}
-"""
-
-
 @pytest.fixture
 def rig(tmp_path):
-    rows = "".join(f"{0.01 * i:.2f},{i // 50 % 3},{500 * (i // 50 % 3) + i % 7}\n" for i in range(400))
+    rows = "".join(f"{0.01 * i:.2f},{500 * (i // 50 % 3)},{500 * (i // 50 % 3) + i % 7}\n" for i in range(400))
     for name in ("one", "two"):
-        (tmp_path / f"{name}.csv").write_text("t,u,p\n" + rows)
+        (tmp_path / f"{name}.csv").write_text("t,u,y\n" + rows)
     path = tmp_path / "stage.yaml"
-    path.write_text(STAGE)
+    path.write_text(f"name: servo\n{SERVO}")
     return path
 
 
 def test_check_reads_every_trial_of_a_stage_file_in_its_units(rig):
     result = succeed("check", rig)
-    row = next(line for line in result.stdout.splitlines() if "two" in line and "pressure" in line)
-    assert [cell for cell in row.split() if cell[0].isalnum()][-3:] == ["0", "1006", "mbar"]
-    assert result.stdout.endswith(f"{rig}: valid; 2 trials of chamber (tracking)\n")
+    row = next(line for line in result.stdout.splitlines() if "two" in line and "position" in line)
+    assert [cell for cell in row.split() if cell[0].isalnum()][-3:] == ["0", "1006", "deg"]
+    assert result.stdout.endswith(f"{rig}: valid; 2 trials of servo (tracking)\n")
 
 
 def test_an_option_for_a_configuration_is_refused_for_a_stage_file(rig, tmp_path):
@@ -179,13 +167,13 @@ def test_an_option_for_a_configuration_is_refused_for_a_stage_file(rig, tmp_path
 
 
 def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
-    (tmp_path / "one.csv").write_text("t,u,p\n0,0,0\n")
+    (tmp_path / "one.csv").write_text("t,u,y\n0,0,0\n")
     (tmp_path / "two.csv").write_text("t,u\n0,0\n")
     result = invoke("check", rig)
     assert result.exit_code == 1
     one, *more = result.stderr.splitlines()
     assert one.startswith(f"{tmp_path}/one.csv: column t: 1 rows over 0 s; the command channel needs 2 rows")
-    assert more[-1] == f"{tmp_path}/two.csv: no column p; it has t, u; correct the stage.yaml"
+    assert more[-1] == f"{tmp_path}/two.csv: no column y; it has t, u; correct the stage.yaml"
     refuse(one, "diagnose", rig)
 
 

@@ -1,7 +1,6 @@
 """Access control by host, page and token."""
 
 import json
-from pathlib import Path
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -9,9 +8,10 @@ from websockets.sync.client import connect as connect_sync
 
 from softarm.daemon.access.auth import AccessControl, AuthError, Role, load_tokens
 from softarm.schemas.config import Api, Config
+from tests.daemon.conftest import TOKENS
 
 LOCAL = "http://127.0.0.1"
-TOKEN = "0123456789abcdef0123456789abcdef"
+TOKEN = TOKENS["token_file"]
 
 
 def test_loopback_refuses_foreign_hosts_and_pages(client):
@@ -74,7 +74,6 @@ def test_with_a_token_every_request_needs_it(loop, tokens, app, client_of):
 
 
 NAMES = {"stop_token_file": "stop", "view_token_file": "view", "token_file": "command"}
-ROLES = {"stop_token_file": "s" * 32, "view_token_file": "v" * 32, "token_file": TOKEN}
 MAY = {  # the least of them that may
     ("GET", "/api/status"): "view_token_file",
     ("HEAD", "/api/status"): "view_token_file",
@@ -94,18 +93,13 @@ MAY = {  # the least of them that may
 }
 
 
-@pytest.fixture
-def roles(tokens) -> dict[str, Path]:
-    return tokens(**ROLES)
-
-
-def test_each_role_includes_the_lower_ones_only(loop, roles, app, client_of):
-    client = client_of(app(loop, Config(api={"host": "0.0.0.0"} | roles)), "http://robot.example")
-    for key in ROLES:
+def test_each_role_includes_the_lower_ones_only(loop, strict):
+    rising = list(NAMES)
+    for key in rising:
         loop.taken.clear()
         for asked, least in MAY.items():
-            answer = client.request(*asked, headers={"Authorization": f"Bearer {ROLES[key]}"})
-            allowed = list(ROLES).index(key) >= list(ROLES).index(least)
+            answer = strict.request(*asked, headers={"Authorization": f"Bearer {TOKENS[key]}"})
+            allowed = rising.index(key) >= rising.index(least)
             assert (answer.status_code not in (401, 403)) is allowed, (key, asked)
             if not allowed and asked[0] != "HEAD":
                 assert f"use the token of api.{least}" in answer.json()["detail"], (key, asked)

@@ -6,18 +6,11 @@ from importlib import resources
 import pytest
 
 from softarm.daemon.api.endpoints.dashboard import POLICY, STOP_PORT, TYPES, DashboardFiles, stop_source
-from softarm.schemas.config import Config
 
 FILES = resources.files("softarm.daemon.dashboard")
 PAGE = FILES.joinpath("index.html").read_text(encoding="utf-8")
 LINKED = re.findall(r'(?:src|href)="(/dashboard/[^"]+)"', PAGE)
 SCRIPT = next(path for path in LINKED if path.endswith("js"))
-
-
-@pytest.fixture
-def strict(loop, app, client_of, tokens):
-    """Return a client of an API that requires a token."""
-    return client_of(app(loop, Config(api={"host": "0.0.0.0"} | tokens(token_file="c" * 32))), "http://arm.example")
 
 
 def test_the_page_requires_no_token_but_the_status_does(strict):

@@ -10,20 +10,15 @@ from websockets.sync.client import connect
 
 from softarm.daemon.access.auth import LOGIN_S, LOGINS_MAX, TICKET_S, Role, SecretStore, Sessions
 from softarm.schemas.config import Api, Config
+from tests.daemon.conftest import TOKENS
 
-TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}
 HOST = "robot.example"
 PAGE = {"Origin": f"http://{HOST}"}
 
 
 @pytest.fixture
-def files(tokens):
-    return tokens(**TOKENS)
-
-
-@pytest.fixture
-def client(loop, app, client_of, files):
-    return client_of(app(loop, Config(api={"host": "0.0.0.0"} | files)), f"http://{HOST}")
+def client(strict):
+    return strict
 
 
 def logged_in(client, key="token_file", **headers):
@@ -140,8 +135,8 @@ def test_without_tokens_no_login_is_needed(loop, app, client_of):
     assert answer.json()["detail"] == "this API requires no token, so there is no log-in"
 
 
-def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, serving, files):
-    config = Config(api={"port": 0} | files)
+def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, serving, roles):
+    config = Config(api={"port": 0} | roles)
     made = app(loop, config)
     client = client_of(made, "http://127.0.0.1")
     answer = client.post("/api/login", json={"token": TOKENS["view_token_file"]})
@@ -162,8 +157,8 @@ def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, ser
 PUBLIC = "https://arm.example"
 
 
-def test_behind_a_tls_proxy_the_cookie_is_secure_and_its_pages_are_allowed(loop, app, client_of, files):
-    config = Config(api={"public_origin": PUBLIC} | files)
+def test_behind_a_tls_proxy_the_cookie_is_secure_and_its_pages_are_allowed(loop, app, client_of, roles):
+    config = Config(api={"public_origin": PUBLIC} | roles)
     for host in ("127.0.0.1:8080", "arm.example"):  # as proxies may name it
         client = client_of(app(loop, config), f"http://{host}")
         answer = client.post("/api/login", json={"token": TOKENS["token_file"]}, headers={"Origin": PUBLIC})
@@ -179,9 +174,9 @@ def test_behind_a_tls_proxy_the_cookie_is_secure_and_its_pages_are_allowed(loop,
 @pytest.mark.parametrize(
     "origin", ["arm.example", "http://{}", "https://{}/", "https://Arm.example", "https://{}:443", "https://"]
 )
-def test_a_public_origin_must_have_the_form_that_browsers_send(files, origin):
+def test_a_public_origin_must_have_the_form_that_browsers_send(roles, origin):
     with pytest.raises(ValueError, match=r"allowed https://HOST or https://HOST:PORT as a browser shows it"):
-        Api(public_origin=origin.format("arm.example"), **files)
+        Api(public_origin=origin.format("arm.example"), **roles)
 
 
 def test_a_public_origin_needs_a_token():
