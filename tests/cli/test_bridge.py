@@ -22,8 +22,6 @@ from tests.cli.invoke import refuse, succeed
 from tests.drivers.bridge.streaming import Streaming
 from tests.processes import free_port, running
 
-POSES = {name: Pose(0.1, 0.965 - 0.0885 * i, 0.0, tracked=True) for i, name in enumerate(BODY_NAMES)}
-
 
 def ask(*arguments: object) -> Any:
     return succeed("bridge", *arguments)
@@ -32,7 +30,7 @@ def ask(*arguments: object) -> Any:
 @pytest.fixture
 def poses() -> dict[str, Pose]:
     """Return the poses that the server streams."""
-    return dict(POSES)
+    return {name: Pose(0.1, 0.965 - 0.0885 * i, 0.0, tracked=True) for i, name in enumerate(BODY_NAMES)}
 
 
 @pytest.fixture

@@ -1,13 +1,11 @@
 """Tests of `softarm check`."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from softarm.policies import registry, trial
-from softarm.schemas.excitation import EXCITATIONS
 from tests.cli.invoke import invoke, refuse, succeed
 from tests.diagnosis.rigs.recordings import SERVO
 
@@ -96,7 +94,7 @@ def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return a folder with a log of a robot whose rail is late and weak, from fewer reversals than are usual."""
+    """Return a folder with a log of a robot whose rail is late and weak."""
     folder = tmp_path_factory.mktemp("logs")
     config = folder / "careful.yaml"
     careful = "{latency_s: 0.09, braking_m_s2: 1, velocity_max_m_s: 0.6}"
@@ -105,16 +103,7 @@ def logs(tmp_path_factory):
     lag = "pressure.lag: {inflate: 0.158, deflate: 0.221}"
     rail = "rail.delay: {delay: 0.06}, rail.acceleration_limit: {acceleration: 4}"
     model.write_text(f"effects: {{{lag}, {rail}}}\n")
-    played = ["excite", "rail-dashes", "--simulated", "--config", config, "--model", model]
-    usual = EXCITATIONS["rail-dashes"]
-    fewer = replace(
-        usual,
-        pressure_kpa=(usual.pressure_kpa[0], replace(usual.pressure_kpa[1], duration_s=36.0)),
-        cart_velocity_m_s=usual.cart_velocity_m_s[:185],
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(EXCITATIONS, "rail-dashes", fewer)
-        succeed(*played)
+    succeed("excite", "rail-dashes", "--simulated", "--config", config, "--model", model)
     return folder
 
 

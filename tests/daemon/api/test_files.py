@@ -115,8 +115,7 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
     loop, app, serving, config, folder, monkeypatch
 ):
     monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
-    with (folder / "flight.mcap").open("wb") as file:
-        file.truncate(64_000_000)
+    os.truncate(folder / "flight.mcap", 64_000_000)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         url = f"http://127.0.0.1:{port}/api/logs/flight.mcap"
         with httpx.stream("GET", url, timeout=WAIT_S) as slow:
@@ -136,8 +135,7 @@ def is_open(path: Path) -> bool:
 @pytest.mark.slow
 def test_a_client_that_does_not_read_its_download_is_disconnected(loop, app, serving, config, folder, monkeypatch):
     monkeypatch.setattr("softarm.daemon.api.bounds.UNREAD_S", 0.3)
-    with (folder / "flight.mcap").open("wb") as file:
-        file.truncate(64_000_000)
+    os.truncate(folder / "flight.mcap", 64_000_000)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         deaf = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
         deaf.sendall(b"GET /api/logs/flight.mcap HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
