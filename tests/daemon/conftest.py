@@ -16,6 +16,7 @@ from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode, Observed, Outputs, Problems, RequestResult
+from softarm.daemon.runtime import verb_process
 from softarm.policies import trial
 from softarm.policies.base import PolicyError, PolicySpec
 from softarm.policies.registry import PolicyEntry
@@ -183,6 +184,13 @@ def tokens(tmp_path):
         return {key: tmp_path / key for key in texts}
 
     return write
+
+
+@pytest.fixture
+def verb_runs(monkeypatch):
+    """Return verb_runs(code), which replaces the work of each verb's process but not its set-up."""
+    setup = verb_process._PROGRAM.partition("from softarm")[0]
+    return lambda code: monkeypatch.setattr(verb_process, "_PROGRAM", setup + code)
 
 
 TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}

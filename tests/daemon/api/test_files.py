@@ -18,7 +18,6 @@ from softarm.daemon.api.endpoints import files
 from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.runtime import verb_process
 from softarm.recordings import log_file, player
 from softarm.schemas.config import Config
 from tests.processes import WAIT_S, until
@@ -52,11 +51,12 @@ def config(tmp_path):
 
 @pytest.fixture
 def folder(config, tmp_path):
-    """Return a folder with one log and every kind of file that is not a log."""
+    """Return a folder with two logs and every kind of file that is not a log."""
     made = config.recorder.directory
     made.mkdir()
     (tmp_path / "secret.mcap").write_bytes(b"secret")
     (made / "flight.mcap").write_bytes(os.urandom(3 * CHUNK_BYTES + 5))
+    shutil.copy(FLIGHT, made / "real.mcap")
     (made / ".hidden.mcap").write_bytes(b"secret")
     (made / "notes.txt").write_bytes(b"secret")
     (made / "folder.mcap").mkdir()
@@ -178,10 +178,9 @@ def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
 
 
 @pytest.mark.slow
-def test_a_player_page_that_takes_too_long_is_ended_and_makes_room(client, folder, monkeypatch):
-    shutil.copy(FLIGHT, folder / "real.mcap")
+def test_a_player_page_that_takes_too_long_is_ended_and_makes_room(client, folder, monkeypatch, verb_runs):
     monkeypatch.setattr(files, "VIEW_S", 1.0)
-    monkeypatch.setattr(verb_process, "_PROGRAM", verb_process._PROGRAM.partition("from softarm")[0] + "signal.pause()")
+    verb_runs("signal.pause()")
     for _ in range(2):
         answer = client.get("/api/logs/real.mcap/view")
         assert answer.status_code == 504
@@ -189,16 +188,14 @@ def test_a_player_page_that_takes_too_long_is_ended_and_makes_room(client, folde
 
 
 @pytest.mark.slow
-def test_a_player_page_whose_client_left_is_ended(loop, app, serving, config, folder, monkeypatch):
+def test_a_player_page_whose_client_left_is_ended(loop, app, serving, config, folder, verb_runs):
     """The first process does not end by itself; the others write a page at once."""
-    shutil.copy(FLIGHT, folder / "real.mcap")
     started = folder / "real.mcap.started"
-    program = verb_process._PROGRAM.partition("from softarm")[0] + (
+    verb_runs(
         "try: open(sys.argv[3] + '.started', 'x')\n"
         "except FileExistsError: open(sys.argv[-1], 'w').write('at once')\n"
         "else: signal.pause()\n"
     )
-    monkeypatch.setattr(verb_process, "_PROGRAM", program)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as leaving:
             leaving.sendall(b"GET /api/logs/real.mcap/view HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
@@ -209,7 +206,6 @@ def test_a_player_page_whose_client_left_is_ended(loop, app, serving, config, fo
 
 @pytest.mark.slow
 def test_a_log_is_viewed_as_a_sandboxed_page(client, folder):
-    shutil.copy(FLIGHT, folder / "real.mcap")
     answer = client.get("/api/logs/real.mcap/view")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
     assert answer.headers["content-security-policy"] == SANDBOX

@@ -48,13 +48,11 @@ def ended(client) -> dict:
 
 
 @pytest.fixture
-def pausing(monkeypatch):
+def pausing(verb_runs):
     """Replace every verb by a process that prints a line of progress and waits."""
-    program = verb_process._PROGRAM.partition("from softarm")[0]
-    program += (
+    verb_runs(
         "sys.stderr.write(f'fitting (40 %, about 9 s left) {os.getpid()}\\n'); sys.stderr.flush(); signal.pause()"
     )
-    monkeypatch.setattr(verb_process, "_PROGRAM", program)
 
 
 @pytest.mark.slow
@@ -67,11 +65,10 @@ def test_a_replay_answers_as_the_command_line_does(client, config):
     assert "\n".join(job["sentences"]) == verb.stdout.strip()
 
 
-def test_a_failed_verb_is_a_failed_job_with_its_last_message(client, config, monkeypatch):
+def test_a_failed_verb_is_a_failed_job_with_its_last_message(client, config, verb_runs):
     verb = CliRunner().invoke(main, ["logs", "replay", str(config.recorder.directory / "noise.mcap")])
     assert (verb.exit_code, "noise.mcap" in verb.stderr) == (verb_process.FAILED, True)
-    program = verb_process._PROGRAM.partition("from softarm")[0] + "print('one tick'); sys.exit('no log')"
-    monkeypatch.setattr(verb_process, "_PROGRAM", program)
+    verb_runs("print('one tick'); sys.exit('no log')")
     client.post("/api/jobs", json={"kind": "replay", "log": "noise.mcap"})
     job = ended(client)
     assert (job["state"], job["sentences"]) == ("failed", ["one tick", "no log"])
@@ -155,11 +152,11 @@ def test_a_diagnosis_without_a_place_for_its_report_is_refused(client, config):
     assert reason.startswith(f"api.reports {config.api.reports}: no report can be written there (File exists); name ")
 
 
-def test_a_verbs_process_has_a_low_priority():
-    program = verb_process._PROGRAM.partition("from softarm")[0] + (
-        "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"
+def test_a_verbs_process_has_a_low_priority(verb_runs):
+    verb_runs("print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())")
+    done = subprocess.run(
+        [sys.executable, "-c", verb_process._PROGRAM, "5"], capture_output=True, text=True, check=True
     )
-    done = subprocess.run([sys.executable, "-c", program, "5"], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [str(min(19, os.nice(0) + 10)), str(os.SCHED_OTHER), "1000"]
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from softarm.daemon.logbook import logs
-from softarm.daemon.runtime import verb_process
 from softarm.schemas import excitation
 from tests.processes import WAIT_S
 
@@ -194,7 +193,7 @@ window.addEventListener = (kind, ...rest) => { if (kind !== "blur") add.call(win
 
 
 # Over 3 s: an excitation, and the processes of two jobs.
-def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daemon, flight, short, monkeypatch):
+def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daemon, flight, short, verb_runs):
     page.add_init_script(WITHOUT_BLUR)
     panel = tab(page, "jobs")
     start = panel.get_by_role("button", name="Start excitation")
@@ -217,13 +216,11 @@ def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daem
     assert flown == {("excite-short", "run")}
     assert max(outputs.sent.pressure_kpa for _, outputs in log.ticks()) > 1.0
 
-    setup = verb_process._PROGRAM.partition("from softarm")[0]
-    program = setup + (
+    verb_runs(
         "print('fitting (40 %, about 9 s left)', file=sys.stderr, flush=True)\n"
         "open(sys.argv[-1], 'w').write('<!doctype html><h1>The rail lags</h1>')\n"
         "import time\nwhile not os.path.exists(sys.argv[-1] + '.go'): time.sleep(0.01)\n"
     )
-    monkeypatch.setattr(verb_process, "_PROGRAM", program)
     panel.locator("label", has_text="flight.mcap").locator("input").check()
     panel.get_by_role("button", name="Start diagnosis").click()
     row(page).locator("progress[value='0.4']").wait_for()
@@ -239,6 +236,6 @@ def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daem
     for made in reports.iterdir():
         made.unlink()
 
-    monkeypatch.setattr(verb_process, "_PROGRAM", setup)
+    verb_runs("")
     tab(page, "logs").locator("li", has_text="flight.mcap").get_by_role("button", name="Replay").click()
     row(page).locator("b", has_text="Replay ✓ done").wait_for(timeout=1000 * WAIT_S)
