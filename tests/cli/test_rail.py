@@ -205,13 +205,6 @@ def test_without_a_terminal_centre_needs_a_duration(bench: Bench) -> None:
     bench.refuses("with --seconds", "centre")
 
 
-@pytest.mark.parametrize("url", ["http://[", "http://127.0.0.1:1"])
-def test_a_daemon_named_by_url_must_answer(bench: Bench, url: str) -> None:
-    bench.push()
-    bench.refuses(f"no daemon at {url}: ", "centre", "--seconds", "5", "--url", url)
-    assert bench.server._master is None
-
-
 class Seen:
     """Statuses of a daemon while a person pushes the cart; axis and motion capture may disagree."""
 

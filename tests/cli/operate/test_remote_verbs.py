@@ -349,15 +349,6 @@ def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, make_status,
     assert (result.exit_code, result.stdout, result.stderr) == (1, "", f"{said}\n")
 
 
-def test_a_missing_daemon_is_reported_with_the_command_to_start_it():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound, not listening: refuses
-        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
-        refuse(
-            f"no daemon at {url}: start one with `softarm run --config FILE`, or name its --url", "status", "--url", url
-        )
-
-
 def test_a_daemon_that_does_not_answer_times_out(monkeypatch):
     monkeypatch.setattr("softarm.cli.shared.client.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
