@@ -93,14 +93,6 @@ def test_a_log_without_wall_clock_time_is_reported(killed):
         tables.ticks(logs.read(killed))
 
 
-def test_each_tick_has_the_newest_data(flight_file, log):
-    moments = [moment for moment in flight.moments(flight_file) if moment is not None]
-    for moment, (inputs, outputs, timing) in zip(moments, log, strict=True):
-        assert (moment.frame, moment.pressure, moment.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
-        assert (moment.tick.outputs.tick, moment.tick.outputs.sent) == (outputs.tick, outputs.sent)
-        assert moment.tick.timing.compute_ns == timing.compute_ns
-
-
 def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):
     assert flight.first_stamp_ns(killed) == readings[0].t_receive_ns
     empty = write(tmp_path / "empty.mcap", ())
