@@ -2,7 +2,6 @@
 
 import os
 import tempfile
-import time
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,11 +9,11 @@ from pathlib import Path
 import pytest
 
 import softarm
+from tests.processes import gone, until
 
 ROOT = Path(softarm.__file__).parents[1]
 # Ray reads its settings when it is imported, so no test module imports it.
 WITH_RAY = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra `ray`")
-ENOUGH_S = 600.0  # ends a hanging test; no test depends on the speed of the machine
 
 
 @contextmanager
@@ -26,7 +25,7 @@ def apart():
         patch.setenv("RAY_AUTH_TOKEN", "f" * 64)  # or Ray creates a token in the home folder
         patch.setenv("PYTHONPATH", str(ROOT))
         yield Path(folder)
-        await_true(lambda: not processes(folder), "Ray's processes to end")
+        until(lambda: not processes(folder), "Ray's processes to end")
 
 
 def processes(folder):
@@ -34,16 +33,8 @@ def processes(folder):
     found = []
     for each in Path("/proc").glob("[0-9]*"):
         try:
-            state = (each / "stat").read_text().rpartition(")")[2].split()[0]
-            if f"RAY_TMPDIR={folder}".encode() in (each / "environ").read_bytes() and state != "Z":
+            if f"RAY_TMPDIR={folder}".encode() in (each / "environ").read_bytes() and not gone(int(each.name)):
                 found.append(int(each.name))
         except OSError:
             continue  # ended meanwhile, or not ours
     return sorted(set(found) - {os.getpid()})
-
-
-def await_true(condition, what):
-    deadline = time.monotonic() + ENOUGH_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {ENOUGH_S:.0f} s for {what}"
-        time.sleep(0.02)

@@ -8,30 +8,17 @@ import signal
 import subprocess
 import sys
 import sysconfig
-import time
 from pathlib import Path
 
 import httpx
 import pytest
 
+from tests.processes import said, until
+
 PAGE = Path(__file__).parents[2] / "docs/tutorial.md"
-_SERVING = re.compile(r"serving (http://\S+)")
 _BLOCK = re.compile(r'^```sh title="([^"]+)"\n(.*?)^```', re.MULTILINE | re.DOTALL)
 
 pytestmark = pytest.mark.slow
-
-
-@contextlib.contextmanager
-def daemon(folder: Path, environment: dict[str, str], command: str):
-    """Run the daemon on a free port while the context lasts and yield its URL."""
-    ports = folder / "ports.yaml"
-    ports.write_text("api: {port: 0, stop_port: 0}\n", encoding="utf-8")
-    program = [*shlex.split(command), "--config", str(ports)]
-    with subprocess.Popen(program, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as running:
-        try:
-            yield next(found[1] for line in running.stdout if (found := _SERVING.search(line)))
-        finally:
-            running.send_signal(signal.SIGINT)
 
 
 class Terminals:
@@ -55,12 +42,15 @@ class Terminals:
     def start(self, command: str) -> None:
         """Start a daemon that runs until Ctrl-C, on a free port."""
         self.interrupt()
-        url = self._running.enter_context(daemon(self._folder, self._environment, command))
-        self._environment["SOFTARM_URL"] = url
-        deadline = time.monotonic() + 120
-        while httpx.get(f"{url}/api/status", trust_env=False).json().get("arming_refusals", ["not yet"]):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        ports = self._folder / "ports.yaml"
+        ports.write_text("api: {port: 0, stop_port: 0}\n", encoding="utf-8")
+        program, options = [*shlex.split(command), "--config", str(ports)], {"cwd": self._folder, "text": True}
+        daemon = subprocess.Popen(program, env=self._environment, stdout=subprocess.PIPE, **options)
+        self._running.enter_context(daemon)
+        self._running.callback(daemon.send_signal, signal.SIGINT)
+        self._environment["SOFTARM_URL"] = url = said(daemon, r"serving (http://\S+)")
+        status = f"{url}/api/status"
+        until(lambda: not httpx.get(status, trust_env=False).json().get("arming_refusals", ["not yet"]), "no refusal")
 
     def run(self, command: str) -> str:
         """Run a command to its end and return its output."""

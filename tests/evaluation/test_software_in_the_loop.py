@@ -1,7 +1,6 @@
 """Twin and daemon as separate processes over pty, TCP and Zenoh: what the person at the bench relies on."""
 
 import itertools
-import time
 from contextlib import ExitStack
 
 import pytest
@@ -9,6 +8,7 @@ import pytest
 from softarm.daemon.logbook import logs
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.goals import Goal
+from tests.processes import until
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -17,14 +17,6 @@ pytestmark = pytest.mark.timeout(120)
 def sil(tmp_path):
     with SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "reach"}}) as sil:
         yield sil
-
-
-def wait(condition, what, seconds=10.0):
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what}: not within {seconds} s"
-        time.sleep(0.005)
-    return found
 
 
 @pytest.mark.prove
@@ -38,7 +30,7 @@ def test_a_goal_set_by_rest_is_reached_and_recorded(sil):
     assert tips
     path = sil.status()["recorder"]["log"]
     sil.post("disarm")
-    wait(lambda: sil.status()["mode"] == "disarmed", "disarmed")
+    until(lambda: sil.status()["mode"] == "disarmed", "disarmed")
     log = logs.read(path)
     sequences = [frame.sequence for inputs, _ in log.ticks() for frame in inputs.mocap]
     assert all(later > earlier for earlier, later in itertools.pairwise(sequences))
