@@ -1,12 +1,9 @@
 """Robots that differ: each has its own values, within the ranges, and a run that is resumed has the same ones."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from softarm.simulator.effects import EffectError
-from softarm.training.learn.validation import at_rest
 from softarm.training.run.recipe import RECIPES, prepare
 from softarm.training.task.environment import Randomisation, environment_of
 from softarm.training.task.reach import TASKS
@@ -24,19 +21,6 @@ def test_each_robot_has_a_separate_value_within_the_range():
     assert values.shape == (200,)
     assert 0.01 <= values.min() < 0.015
     assert 0.045 < values.max() <= 0.05
-
-
-def test_robots_that_differ_move_apart_and_equal_ones_do_not():
-    task = replace(REACH, action_noise=0.0)
-    tips = {}
-    for name, ranges in (("alike", {}), ("different", PAYLOAD)):
-        environment = environment_of(task, 16, 3, randomisation=Randomisation(ranges))
-        environment.reset(at_rest(np.zeros(16), 5), np.full((16, 2), 0.9, dtype=np.float32))
-        for action in actions(1, 20):
-            environment.step(np.repeat(action, 16, axis=0))
-        tips[name] = np.ptp(environment.simulator.tip_m(), axis=0).max()
-    assert tips["alike"] < 1e-6
-    assert tips["different"] > 1e-3
 
 
 def test_values_are_drawn_once_or_in_each_episode():

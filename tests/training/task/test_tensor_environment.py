@@ -91,26 +91,16 @@ def test_noise_and_dropped_frames_have_the_strength_of_the_effect(device):
     assert np.mean((first == second)[:, TIP_Y]) == pytest.approx(share, abs=0.05)
 
 
-def test_each_episode_draws_the_sensors_effects():
-    ranges = {"mocap.offset.y": (0.05, 0.1)}
+def test_each_episode_draws_from_the_ranges_of_arm_and_sensors():
+    ranges = {"arm.payload.mass": (0.01, 0.05), "mocap.offset.y": (0.05, 0.1)}
     environment = _made(NOISELESS, ROBOTS, 0, randomisation=Randomisation(ranges, each_episode=True))
-    offsets = []
+    simulator, drawn = environment.simulator, []
     for _ in range(2):
-        seen = environment.reset()[:, 0]
-        offsets.append(seen - environment.simulator.cart_position_m)
-    assert (offsets[0] != offsets[1]).all()
-    assert ((torch.stack(offsets) > 0.0499) & (torch.stack(offsets) < 0.1001)).all()
-
-
-def test_each_episode_draws_from_the_ranges():
-    ranges = {"arm.payload.mass": (0.01, 0.05)}
-    environment = _made(NOISELESS, ROBOTS, 0, randomisation=Randomisation(ranges, each_episode=True))
-    masses = []
-    for _ in range(2):
-        environment.reset()
-        masses.append(environment.simulator._row(environment.simulator._at.payload).clone())
-    assert (masses[0] != masses[1]).any()
-    assert ((torch.stack(masses) >= 0.01) & (torch.stack(masses) <= 0.05)).all()
+        offset = environment.reset()[:, 0] - simulator.cart_position_m
+        drawn.append(torch.stack((simulator._row(simulator._at.payload), offset)))
+    assert (drawn[0] != drawn[1]).all()
+    for values, (low, high) in zip(torch.stack(drawn, dim=1), ranges.values(), strict=True):
+        assert ((values > low - 1e-4) & (values < high + 1e-4)).all()
 
 
 def test_a_snapshot_restores_the_episodes():
