@@ -98,6 +98,16 @@ def _issued(
     return newest, np.maximum(times_s[newest] - stamps_s, 0.0), step_s
 
 
+def tips_m(
+    model: Model | None, velocity_m_s: Array, pressure_kpa: Array, rate_hz: float, dtype: type = np.float32
+) -> Array:
+    """Run commands [T, R], each held for a control period, and return where the tips are afterwards, [R, 2]."""
+    simulator = Simulator(model, velocity_m_s.shape[1], rate_hz, dtype=dtype)
+    for v, p in zip(velocity_m_s, pressure_kpa, strict=True):
+        simulator.step(v, p)
+    return simulator.tip_m()
+
+
 def energies_j(simulator: Simulator, shelf: tuple[float, float] = (100.0, 0.0), stiffness: float = 0.0) -> np.ndarray:
     """Kinetic, gravity's, springs' and the shelf's energy of every robot, [R], without the kernel's formulas.
 

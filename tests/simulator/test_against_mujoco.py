@@ -9,18 +9,11 @@ from benchmarks import commands
 from benchmarks.mujoco_arm import fly
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S
-from softarm.simulator.simulator import Simulator
+from tests.simulator.stages import tips_m
 
 # MuJoCo's arm has no end stops.
 ENDLESS = Cart(travel_m=100.0)
 MUJOCO_SUBSTEPS = 300  # 9 kHz: its own error is then below 0.1 mm on average
-
-
-def tips_m(model: Model, velocity: np.ndarray, pressure: np.ndarray, rate_hz: float) -> np.ndarray:
-    simulator = Simulator(model, velocity.shape[1], rate_hz)
-    for v, p in zip(velocity, pressure, strict=True):
-        simulator.step(v, p, CONTROL_PERIOD_S)
-    return simulator.tip_m()
 
 
 def mujoco_tips_m(model: Model, velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:

@@ -131,14 +131,10 @@ def test_single_precision_at_240_hz_is_near_the_reference_with_all_effects() -> 
         for name, strong in exemplars().items()
         if REGISTRY[name].stage in ("pressure", "rail", "arm") and strong
     }
-    velocity, pressure = (commanded[:60] for commanded in commands.smooth(8, seed=8))
-    tips = []
-    for rate_hz, dtype in ((240.0, np.float32), (1200.0, np.float32), (9_600.0, np.float64)):
-        simulator = Simulator(Model(cart=Cart(travel_m=100.0), effects=effects), 8, rate_hz, dtype=dtype)
-        for v, p in zip(velocity, pressure, strict=True):
-            simulator.step(v, p)
-        tips.append(simulator.tip_m())
-    coarse, fine = (1e3 * np.linalg.norm(each - tips[2], axis=1) for each in tips[:2])
+    model = Model(cart=Cart(travel_m=100.0), effects=effects)
+    flown = [commanded[:60] for commanded in commands.smooth(8, seed=8)]
+    exact = stages.tips_m(model, *flown, 9_600.0, np.float64)
+    coarse, fine = (1e3 * np.linalg.norm(stages.tips_m(model, *flown, hz) - exact, axis=1) for hz in (240.0, 1200.0))
     assert coarse.mean() < 3.0
     assert fine.mean() < 0.5
 

@@ -15,13 +15,9 @@ ENDLESS = Cart(travel_m=100.0)
 PERIOD_S = 1 / 30
 
 
-def limited(force_n: float, **effects: dict[str, float]) -> dict[str, dict[str, float]]:
+def limited(force_n: float) -> dict[str, dict[str, float]]:
     """The seed's effects and this one."""
-    return (
-        seed_effects()
-        | {"rail.force_limit": {"force": force_n}}
-        | {k.replace("__", "."): v for k, v in effects.items()}
-    )
+    return seed_effects() | {"rail.force_limit": {"force": force_n}}
 
 
 def ride(effects: dict[str, dict[str, float]], command: float, push: float, seconds: float = 0.3) -> np.ndarray:

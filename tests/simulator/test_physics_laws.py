@@ -8,7 +8,7 @@ import pytest
 from benchmarks import commands
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
-from tests.simulator.stages import energies_j
+from tests.simulator.stages import energies_j, tips_m
 
 ARM = Arm()
 
@@ -62,17 +62,10 @@ def test_error_falls_with_the_square_of_the_step() -> None:
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
 def test_drive_s_switching_costs_no_accuracy(draw: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:
     """The drive changes its law within steps, thousands of times here; the error stays docs/training/simulator.md's."""
-    velocity, pressure = draw(256, seed=9)
-
-    def tips_m(rate_hz: float) -> np.ndarray:
-        simulator = Simulator(Model(cart=Cart(travel_m=100.0)), 256, rate_hz)
-        for v, p in zip(velocity, pressure, strict=True):
-            simulator.step(v, p)
-        return simulator.tip_m()
-
-    exact = tips_m(9600.0)
+    model, (velocity, pressure) = Model(cart=Cart(travel_m=100.0)), draw(256, seed=9)
+    exact = tips_m(model, velocity, pressure, 9600.0)
     for rate_hz, mean_mm, max_mm in ((240.0, 0.25, 1.5), (1200.0, 0.025, 0.15)):
-        error_mm = 1e3 * np.linalg.norm(tips_m(rate_hz) - exact, axis=1)
+        error_mm = 1e3 * np.linalg.norm(tips_m(model, velocity, pressure, rate_hz) - exact, axis=1)
         assert error_mm.mean() < mean_mm
         assert error_mm.max() < max_mm
 
@@ -80,13 +73,8 @@ def test_drive_s_switching_costs_no_accuracy(draw: Callable[..., tuple[np.ndarra
 def test_single_precision_costs_nothing() -> None:
     """At 1200 Hz float32 and float64 end 3 s of hard commands within a tenth of the scheme's own error."""
     velocity, pressure = commands.bang_bang(8, seed=4)
-    tips = []
-    for dtype in (np.float32, np.float64):
-        simulator = Simulator(None, 8, 1200.0, dtype=dtype)
-        for v, p in zip(velocity, pressure, strict=True):
-            simulator.step(v, p)
-        tips.append(simulator.tip_m())
-    assert np.abs(tips[0] - tips[1]).max() < 2e-5
+    single, double = (tips_m(None, velocity, pressure, 1200.0, dtype) for dtype in (np.float32, np.float64))
+    assert np.abs(single - double).max() < 2e-5
 
 
 def test_pressure_keeps_the_seed_s_share_of_its_old_value_at_30_hz() -> None:
