@@ -3,11 +3,10 @@
 Each is measured where it belongs: its stage alone, driven by inputs that all robots share.
 """
 
-from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
@@ -26,15 +25,10 @@ PRESSURE = RNG.uniform(0.0, 20.0, STEPS // 5).repeat(5) + RNG.uniform(-0.4, 0.4,
 # A cart that swings the arm, as if measured.
 CART = 0.15 * np.sin(6.0 * STAMPS)
 CART_VELOCITY = 0.9 * np.cos(6.0 * STAMPS)
-Values = Mapping[str, ArrayLike]
 
 
-def neutral(effect_name: str) -> dict[str, float]:
-    return {f"{effect_name}.{p.name}": p.neutral for p in REGISTRY[effect_name].parameters}
-
-
-def exemplar(effect_name: str) -> dict[str, float]:
-    return {f"{effect_name}.{p.name}": p.exemplar for p in REGISTRY[effect_name].parameters}
+def values_of(effect_name: str, kind: Literal["neutral", "exemplar"]) -> dict[str, float]:
+    return {f"{effect_name}.{p.name}": getattr(p, kind) for p in REGISTRY[effect_name].parameters}
 
 
 def base(effect_name: str) -> Model:
@@ -43,20 +37,20 @@ def base(effect_name: str) -> Model:
     return Model(effects={name: given for name, given in model.effects.items() if name != effect_name})
 
 
-def pressure_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def pressure_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     return stages.pressure_alone(model, STAMPS, PRESSURE, STAMPS, robots=robots, overrides=values)
 
 
-def rail_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def rail_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     return stages.rail_alone(model, STAMPS, VELOCITY, STAMPS, robots=robots, overrides=values, physics_rate_hz=240.0)
 
 
-def arm_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def arm_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     angles = stages.arm_alone(model, STAMPS, CART, CART_VELOCITY, PRESSURE, robots=robots, overrides=values)
     return angles.transpose(0, 2, 1).reshape(-1, robots)
 
 
-def contact_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def contact_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     """The arm laid onto a board: the cart drives towards it, the muscle bends it in."""
     simulator = Simulator(model, robots, overrides=values)
     simulator.place_shelf(-0.1, 0.57)
@@ -68,7 +62,7 @@ def contact_stage(model: Model, robots: int, values: Values) -> np.ndarray:
     return np.concatenate(looks)
 
 
-def mocap_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def mocap_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     simulator = Simulator(model, robots, overrides=values)
     sensors = Sensors(simulator, np.random.default_rng(1))
     looks = []
@@ -78,7 +72,7 @@ def mocap_stage(model: Model, robots: int, values: Values) -> np.ndarray:
     return np.concatenate(looks)
 
 
-def clock_stage(model: Model, robots: int, values: Values) -> np.ndarray:
+def clock_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
     simulator = Simulator(model, robots, overrides=values)
     clock = Clock(simulator, np.random.default_rng(2))
     ticks = [clock.tick() for _ in range(400)]
@@ -106,17 +100,17 @@ def test_a_neutral_effect_equals_no_effect_bit_for_bit(effect) -> None:  # type:
     """Alone, and beside neighbours in the same SIMD register that have it in full."""
     run, model = STAGE[effect.stage], base(effect.name)
     without = run(model, 1, {})
-    np.testing.assert_array_equal(run(model, 1, neutral(effect.name)), without)
+    np.testing.assert_array_equal(run(model, 1, values_of(effect.name, "neutral")), without)
     if effect.name == "contact.stiffness" or effect.stage in ("mocap", "clock"):
         return  # a shape, and draws of chance that depend on how many robots there are
-    strong, idle = exemplar(effect.name), neutral(effect.name)
+    strong, idle = values_of(effect.name, "exemplar"), values_of(effect.name, "neutral")
     mixed = run(model, 3, {path: np.array([strong[path], idle[path], strong[path]]) for path in strong})
     np.testing.assert_array_equal(mixed[:, 1:2], without)
 
 
 @pytest.mark.parametrize("effect", NUMERIC, ids=lambda effect: effect.name)
 def test_a_strong_effect_changes_its_stage_and_none_upstream(effect) -> None:  # type: ignore[no-untyped-def]
-    model, strong = base(effect.name), exemplar(effect.name)
+    model, strong = base(effect.name), values_of(effect.name, "exemplar")
     without, changed = (STAGE[effect.stage](model, 1, values) for values in ({}, strong))
     assert np.isfinite(changed).all()
     assert np.abs(changed - without).max() > 1e-3

@@ -52,9 +52,8 @@ def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, lea
 
 @pytest.mark.prove
 def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():
-    model = Model()
     rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}
-    late = model.model_copy(update={"effects": dict(model.effects) | rail})
+    late = Model(effects=Model().effects | rail)
     task = PRESETS["reach-wide"]
     names = ("reach-robust", "reach-wide", "reach")
     robust, wide, reach = (reached_in_range(shipped(name), task, late) for name in names)

@@ -58,7 +58,7 @@ def test_start_model_and_seed_change_the_flight():
         table = softarm.fly("reach", target=TARGET, config=short, **options).table
         return table["observed_tip_y_m"].to_pylist()
 
-    noisy = Model().model_copy(update={"effects": {**Model().effects, "mocap.noise": {"sigma": 0.002}}})
+    noisy = Model(effects=Model().effects | {"mocap.noise": {"sigma": 0.002}})
     usual = drawn()
     assert drawn() == usual
     assert drawn(model=noisy, seed=1) == drawn(model=noisy, seed=1) != drawn(model=noisy, seed=2)
@@ -127,7 +127,7 @@ def test_an_error_names_the_value_and_the_next_step(options, text):
 
 
 def test_a_target_outside_the_training_range_and_an_effect_of_the_loop_warn():
-    late = Model().model_copy(update={"effects": {"clock.jitter": {"sigma": 0.001}}})
+    late = Model(effects={"clock.jitter": {"sigma": 0.001}})
     with pytest.warns(UserWarning, match="it may miss") as high:
         softarm.fly("reach", target=(-0.2, 0.78))
     with pytest.warns(UserWarning, match=r"clock\.jitter: not simulated") as jitter:

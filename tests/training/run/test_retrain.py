@@ -104,9 +104,7 @@ def test_an_invalid_policy_file_is_refused(tmp_path):
 
 
 def test_robots_vary_by_the_model_s_effects_and_by_the_open_parameters():
-    model = Model()
-    late = model.model_copy(update={"effects": dict(model.effects) | {"rail.delay": {"delay": 0.095}}})
-    robots = around(late, 0.1)
+    robots = around(Model(effects=Model().effects | {"rail.delay": {"delay": 0.095}}), 0.1)
     assert robots.each_episode
     low, high = robots.ranges["rail.delay.delay"]
     assert (low, high) == (pytest.approx(0.0855), 0.1)  # the registry's bound
@@ -116,9 +114,8 @@ def test_robots_vary_by_the_model_s_effects_and_by_the_open_parameters():
 
 
 def test_a_named_effect_is_not_an_open_parameter():
-    model = Model()
     effects = {"arm.stiffness": {"scale": -0.3}, "mocap.latency": {"delay": 0.04}}
-    robots = around(model.model_copy(update={"effects": dict(model.effects) | effects}), 0.1)
+    robots = around(Model(effects=Model().effects | effects), 0.1)
     assert robots.ranges["arm.stiffness.scale"] == (pytest.approx(-0.33), pytest.approx(-0.27))
     assert robots.ranges["mocap.latency.delay"] == (pytest.approx(0.036), pytest.approx(0.044))
 
@@ -128,7 +125,7 @@ def test_without_spread_all_robots_are_the_model():
 
 
 def test_every_effect_of_the_registry_can_vary():
-    everything = Model().model_copy(update={"effects": exemplars()})
+    everything = Model(effects=exemplars())
     robots = around(everything, 0.1)
     assert len(robots.ranges) >= len(exemplars())
     assert Environment(TASKS["reach"], 8, 1, everything, randomisation=robots).reset().shape == (8, 10)

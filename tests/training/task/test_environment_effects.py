@@ -19,21 +19,18 @@ REACH = TASKS["reach"]
 EXACT = replace(REACH, rail_guard=False, action_noise=0.0)
 ROBOTS = 16
 FAR = np.tile(np.float32([[-0.2, 0.9]]), (ROBOTS, 1))
-TICK_S = 1 / 30
 OURS = [name for name in REGISTRY if name.startswith(("mocap.", "clock.")) or name == "pressure.sensor_bias"]
-TIP, RATES, SENT, PRESSURE = slice(2, 4), [1, 4, 5], 6, 7  # places in an observation
+TIP, RATES, SENT = slice(2, 4), [1, 4, 5], 6  # places in an observation
 
 
-def model(**effects: dict[str, float]) -> Model:
-    """The seed's model with more effects; `mocap__offset` for mocap.offset."""
-    seed = Model()
-    more = {name.replace("__", "."): values for name, values in effects.items()}
-    return seed.model_copy(update={"effects": seed.effects | more})
+def model(effects: dict[str, dict[str, float]]) -> Model:
+    """The seed's model with more effects."""
+    return Model(effects=Model().effects | effects)
 
 
 def strong() -> Model:
     """All effects of sensors and clock at their exemplars."""
-    return model(**{name: exemplars()[name] for name in OURS})
+    return model({name: exemplars()[name] for name in OURS})
 
 
 def begin(model: Model | None = None, task=EXACT, targets=FAR) -> Environment:
@@ -62,22 +59,12 @@ def plain() -> list[Step]:
 
 @pytest.mark.parametrize("name", OURS)
 def test_each_effect_changes_what_is_observed(name, plain):
-    changed = fly(begin(model(**{name: exemplars()[name]})))
+    changed = fly(begin(model({name: exemplars()[name]})))
     assert any(not np.allclose(a.observation, b.observation, atol=1e-6) for a, b in zip(plain, changed, strict=True))
 
 
-def test_latency_of_a_tick_shows_the_tick_before(plain):
-    late = fly(begin(model(mocap__latency={"delay": TICK_S})))
-    for before, now in zip(plain[:-1], late[1:], strict=True):
-        np.testing.assert_allclose(now.observation[:, [0, 2, 3]], before.observation[:, [0, 2, 3]], atol=1e-6)
-        np.testing.assert_allclose(now.observation[:, RATES], before.observation[:, RATES], atol=1e-4)
-    for at_once, now in zip(plain, late, strict=True):
-        np.testing.assert_array_equal(now.observation[:, SENT:], at_once.observation[:, SENT:])  # no mocap's business
-        np.testing.assert_array_equal(now.reward, at_once.reward)
-
-
 def test_a_dropout_repeats_the_last_observation():
-    environment = begin(model(mocap__dropout={"share": 0.5}))
+    environment = begin(model({"mocap.dropout": {"share": 0.5}}))
     before, repeated = environment._observe(), 0
     for step, plain in zip(fly(environment), fly(begin()), strict=True):
         held = (step.observation[:, [0, 2, 3]] == before[:, [0, 2, 3]]).all(axis=1)
@@ -87,15 +74,9 @@ def test_a_dropout_repeats_the_last_observation():
     assert 0.35 < repeated / (20 * ROBOTS) < 0.65
 
 
-def test_a_sensor_bias_changes_the_reading_and_not_the_pressure():
-    for plain, read in zip(fly(begin()), fly(begin(model(pressure__sensor_bias={"bias": 1.5}))), strict=True):
-        np.testing.assert_allclose(read.observation[:, PRESSURE], plain.observation[:, PRESSURE] + 1.5, atol=1e-5)
-        np.testing.assert_array_equal(read.final_tip_m, plain.final_tip_m)
-
-
 def test_a_displaced_frame_changes_the_observation_and_not_the_success():
     """Targets where the tip is, and where it is seen: the first are reached."""
-    displaced = model(mocap__offset={"y": 0.08, "z": -0.05}, mocap__rotation={"angle": 0.1})
+    displaced = model({"mocap.offset": {"y": 0.08, "z": -0.05}, "mocap.rotation": {"angle": 0.1}})
     tip = np.array([0.0, 0.5225])
     turned = np.array([-np.sin(0.1), np.cos(0.1)]) * tip[1] + [0.08, -0.05]
     environment = begin(displaced, targets=np.float32([tip, turned]))
@@ -109,7 +90,7 @@ def test_a_displaced_frame_changes_the_observation_and_not_the_success():
 
 @pytest.mark.parametrize("guard", [False, True])
 def test_a_missed_tick_keeps_the_command(guard):
-    environment = begin(model(clock__missed_ticks={"share": 0.5}), replace(EXACT, rail_guard=guard))
+    environment = begin(model({"clock.missed_ticks": {"share": 0.5}}), replace(EXACT, rail_guard=guard))
     simulator, given = environment.simulator, []
     issue = simulator.step
     simulator.step = lambda velocity, pressure, *args, **more: (
@@ -131,7 +112,7 @@ def test_a_missed_tick_keeps_the_command(guard):
 
 def test_a_restart_clears_the_sensors_of_that_robot_alone():
     """Robot 0 reaches at once; what the others show does not depend on it."""
-    distorted = model(mocap__latency={"delay": 0.05}, mocap__offset={"y": 0.01})
+    distorted = model({"mocap.latency": {"delay": 0.05}, "mocap.offset": {"y": 0.01}})
     near = FAR.copy()
     near[0] = (0.0, 0.53)
     one, other = begin(distorted, targets=near), begin(distorted)
@@ -178,7 +159,7 @@ def test_a_snapshot_is_continued_bit_for_bit(task, model, ranges):
 def test_the_closest_distance_of_a_trial_is_the_true_one(pool):
     network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
     trials = validation.Scenarios(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
-    displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
+    displaced = model({"mocap.offset": {"y": 0.1, "z": 0.1}})
     outcome = validation.fly(network, REACH, trials, pool, model=displaced)
     assert outcome.reached[0]
     assert outcome.closest_m[0] < REACH.success_radius_m
