@@ -4,8 +4,6 @@ import queue
 
 import pytest
 
-pytest.importorskip("numba")
-
 from softarm.drivers.mocap.source import Frames
 from softarm.evaluation import through_source
 from softarm.schemas.messages import BODY_NAMES, MocapFrame

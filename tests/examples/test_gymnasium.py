@@ -5,10 +5,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("gymnasium")
-pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
-
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.config import Config

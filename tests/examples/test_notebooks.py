@@ -6,8 +6,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("sklearn")
-
 NOTEBOOKS = Path(__file__).parents[2] / "examples" / "notebooks"
 
 pytestmark = pytest.mark.slow

@@ -1,5 +1,6 @@
 """The MJCF export: MuJoCo loads it with the model's masses and springs, and it moves alike."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -8,8 +9,6 @@ from softarm.simulator import effects
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.mjcf import export
 from softarm.simulator.simulator import Simulator
-
-mujoco = pytest.importorskip("mujoco")
 
 STRONG = effects.exemplars()
 

@@ -2,19 +2,16 @@
 
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 
-gymnasium = pytest.importorskip("gymnasium")
-pytest.importorskip("torch")
-
-from gymnasium.error import ResetNeeded  # noqa: E402
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.vector import AutoresetMode  # noqa: E402
-
-from softarm.schemas.policy import ACTION, OBSERVATION, SHELF_GOAL  # noqa: E402
-from softarm.simulator.model_file import ModelFileError  # noqa: E402
-from softarm.training import gym_envs  # noqa: E402
+from softarm.schemas.policy import ACTION, OBSERVATION, SHELF_GOAL
+from softarm.simulator.model_file import ModelFileError
+from softarm.training import gym_envs
 
 TASKS = ("Reach", "Shelf")
 

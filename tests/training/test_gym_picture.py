@@ -1,12 +1,10 @@
 """Rendering of the Gymnasium environments: the robot in pixels and in a window."""
 
+import gymnasium
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium")
-pytest.importorskip("torch")
-
-from softarm.training.gym_picture import SIZE  # noqa: E402
+from softarm.training.gym_picture import SIZE
 
 
 def made(task: str = "Reach", **options):

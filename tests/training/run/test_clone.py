@@ -16,7 +16,6 @@ from softarm.schemas.goals import Goal
 from softarm.training.run import clone
 from tests.cli.invoke import invoke
 
-pytest.importorskip("pyarrow")
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plain_pictures", "short_validation")]
 
 

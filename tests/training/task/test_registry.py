@@ -6,9 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
-
 from softarm.common.plugins import PluginError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.training.record.checkpoint import CheckpointError, load, task_of, usual
