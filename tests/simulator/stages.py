@@ -9,13 +9,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softarm.schemas.model import Model
+from softarm.schemas.model import Arm, Model
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Array, Simulator
 from softarm.simulator.stage_simulator import StageSimulator
 
 Overrides = Mapping[str, ArrayLike]
 
+# Without muscle and offset it hangs straight and at rest.
+UNDRIVEN = Arm(muscle_gain_nm_kpa=(0.0,) * 5, torque_offset_nm=(0.0,) * 5)
 # Events closer than this are one, s.
 SAME_S = 1e-9
 

@@ -16,9 +16,7 @@ from tests.simulator import stages
 @pytest.mark.parametrize("rate_hz", [240.0, 1200.0])
 def test_contact_never_injects_energy(rate_hz: float) -> None:
     """An arm without muscle or drive swings into a board's edge: what energy it has becomes less with every step."""
-    zeros = (0.0,) * 5
-    arm = Arm(muscle_gain_nm_kpa=zeros, torque_offset_nm=zeros)
-    model = Model(arm=arm, effects={})
+    model = Model(arm=stages.UNDRIVEN, effects={})
     robots, shelf = 64, (-0.06, 0.56)
     starts = np.random.default_rng(7).uniform(0.1, 0.5, (robots, 1)) * np.linspace(0.2, 1.0, 5)
     friction = {"contact.friction.coefficient": np.arange(robots) % 2 * 0.4}

@@ -6,29 +6,15 @@ import numpy as np
 import pytest
 
 from benchmarks import commands
-from softarm.schemas.model import Arm, Cart, Model, seed_effects
+from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
-from tests.simulator.stages import energies_j, tips_m
-
-ARM = Arm()
-
-
-def without(*names: str) -> dict[str, dict[str, float]]:
-    """The seed's effects but for some."""
-    return {name: given for name, given in seed_effects().items() if name not in names}
-
-
-def passive(**changes: object) -> Arm:
-    """The arm without damping, muscle and offset."""
-    n = ARM.links
-    zeros = (0.0,) * n
-    quiet = {"damping_nm_s_rad": zeros, "muscle_gain_nm_kpa": zeros, "torque_offset_nm": zeros}
-    return Arm(**{**quiet, **changes})  # type: ignore[arg-type]
+from tests.simulator.stages import UNDRIVEN, energies_j, tips_m
 
 
 def test_energy_is_conserved_to_second_order() -> None:
     """No damping, no drive: what energy drifts in a second falls fourfold as the step is halved."""
-    model = Model(arm=passive(), cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects={})
+    free = UNDRIVEN.model_copy(update={"damping_nm_s_rad": (0.0,) * 5})
+    model = Model(arm=free, cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects={})
     drifts = []
     for rate_hz in (1200.0, 2400.0, 4800.0):
         simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
@@ -45,7 +31,8 @@ def test_energy_is_conserved_to_second_order() -> None:
 
 
 def test_error_falls_with_the_square_of_the_step() -> None:
-    model = Model(cart=Cart(travel_m=100.0), effects=without("rail.acceleration_limit"))
+    effects = {name: given for name, given in seed_effects().items() if name != "rail.acceleration_limit"}
+    model = Model(cart=Cart(travel_m=100.0), effects=effects)
 
     def tip_m(rate_hz: float) -> np.ndarray:
         simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
@@ -104,7 +91,7 @@ def test_delay_shifts_the_answer_and_nothing_else(delay_s: float) -> None:
 
     def ride(delay_s: float) -> np.ndarray:
         effects = seed_effects() | {"rail.delay": {"delay": delay_s}}
-        simulator = Simulator(Model(arm=passive(damping_nm_s_rad=ARM.damping_nm_s_rad), effects=effects), 1, 1200.0)
+        simulator = Simulator(Model(arm=UNDRIVEN, effects=effects), 1, 1200.0)
         positions = []
         for v in velocity:
             simulator.step(v, 0.0, 1 / 1200)

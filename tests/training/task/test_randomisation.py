@@ -12,10 +12,6 @@ REACH = TASKS["reach"]
 PAYLOAD = {"arm.payload.mass": (0.01, 0.05)}
 
 
-def actions(robots: int, steps: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, (steps, robots, 2)).astype(np.float32)
-
-
 def test_each_robot_has_a_separate_value_within_the_range():
     values = Randomisation(PAYLOAD).draw(np.random.default_rng(0), 200)["arm.payload.mass"]
     assert values.shape == (200,)
@@ -30,8 +26,8 @@ def test_values_are_drawn_once_or_in_each_episode():
         environment.stagger()
         before = environment.simulator.effects.value("arm.payload", "mass")
         ended = np.zeros(32, dtype=np.bool_)
-        for action in actions(32, 30):
-            step = environment.step(action)
+        for action in np.random.default_rng(0).uniform(-1, 1, (30, 32, 2)):
+            step = environment.step(action.astype(np.float32))
             ended |= step.terminated | step.truncated
         changed = environment.simulator.effects.value("arm.payload", "mass") != before
         assert 0 < ended.sum() < 32
