@@ -8,15 +8,12 @@ from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.policies.pid import Pid
 from softarm.schemas import flights
-from softarm.schemas.config import Config, Limits, RailLimits
 from softarm.schemas.flights import Scenario
 from softarm.schemas.goals import Goal
 
-REACHABLE = Goal("reach", -0.2, 0.6)
-
 
 def test_a_planner_flies_a_robot_unlike_its_model():
-    (flight,) = fly(registry.load("mppi"), ROBOTS["nominal"], [Scenario(REACHABLE, 0.1)])
+    (flight,) = fly(registry.load("mppi"), ROBOTS["nominal"], [Scenario(Goal("reach", -0.2, 0.6), 0.1)])
     assert flight.reached
 
 
@@ -36,14 +33,6 @@ def test_a_shelf_policy_gets_the_depth_and_the_shelf_is_simulated():
     reported.clear()
     runner.fly(Scenario(goal, 0.1))
     assert set(reported) == {Deep.target_depth_m}  # its own, not what the last scenario left
-
-
-def test_flights_use_the_given_configuration():
-    shipped, slow = registry.load("reach"), Config(limits=Limits(rail=RailLimits(velocity_max_m_s=0.02)))
-    scenario = Scenario(REACHABLE, 0.1)
-    usual, held = (fly(shipped, None, [scenario], config)[0] for config in (None, slow))
-    assert usual.reached
-    assert not held.reached  # its cart hardly moves
 
 
 def test_a_shelf_exists_only_in_its_scenario():
