@@ -4,7 +4,7 @@ A stage is driven by measurements of its inputs, so that a fault of the regulato
 Parameters are given by column: a Jacobian is a batch of robots under the same commands.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,28 +67,22 @@ def rail_alone(
 
 def arm_alone(
     model: Model,
-    times_s: NDArray[np.float64],
-    cart_position_m: ArrayLike,
-    cart_velocity_m_s: ArrayLike,
-    pressure_kpa: ArrayLike,
+    measured: Sequence[NDArray[np.float64]],
+    step_s: float,
     *,
     robots: int = 1,
     overrides: Overrides | None = None,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
 ) -> Array:
-    """Move cart and pressure as measured and return the arm's absolute link angles at every stamp, [T, R, n].
+    """Move cart and pressure as measured and return y, then z of the links' ends at every stamp, m [T, 2 n, R].
 
-    times_s: [T], ascending; measurements [T] or [T, 1]. Between stamps the cart follows the cubic through positions and
-    velocities, the pressure a straight line.
+    measured: position (m) and velocity (m/s) of the cart and pressure (kPa), each [T], every step_s. Between stamps the
+    cart follows the cubic through positions and velocities, the pressure a straight line.
     """
-    simulator = Simulator(model, robots, physics_rate_hz, overrides=overrides)
-    inputs = np.stack([np.ravel(each) for each in (cart_position_m, cart_velocity_m_s, pressure_kpa)], axis=1)
-    simulator.reset(cart_position_m=inputs[0, 0], pressure_kpa=inputs[0, 2])
-    looks = [simulator.link_angles_rad]
-    for before, now, duration_s in zip(inputs[:-1], inputs[1:], np.diff(times_s), strict=True):
-        simulator.step_arm(*now, duration_s, start=tuple(before))
-        looks.append(simulator.link_angles_rad)
-    return np.stack(looks)
+    simulator = StageSimulator(model, robots, physics_rate_hz, overrides=overrides)
+    inputs = [np.tile(each[:, None], robots) for each in measured]
+    simulator.reset(cart_position_m=inputs[0][0], pressure_kpa=inputs[2][0])
+    return simulator.fly_arm(*inputs, step_s)
 
 
 def _issued(

@@ -46,8 +46,8 @@ def rail_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarra
 
 
 def arm_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
-    angles = stages.arm_alone(model, STAMPS, CART, CART_VELOCITY, PRESSURE, robots=robots, overrides=values)
-    return angles.transpose(0, 2, 1).reshape(-1, robots)
+    measured = CART, CART_VELOCITY, PRESSURE
+    return stages.arm_alone(model, measured, PERIOD_S, robots=robots, overrides=values).reshape(-1, robots)
 
 
 def contact_stage(model: Model, robots: int, values: stages.Overrides) -> np.ndarray:
