@@ -92,8 +92,3 @@ def test_recordings_of_a_stage_flown_in_one_call_are_the_steps_they_consist_of(r
         stepped.step(0.0, pressure[step], duration_s, late_s=late[step])
     alone = StageSimulator(overrides=effects).fly_cart(*(each[:, -1:] for each in (speed, push, late)), duration_s)
     np.testing.assert_array_equal(seen_m_s[:, -1:], alone)
-
-
-def test_recordings_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"steps, 5"):
-        StageSimulator(robots=5).fly_pressure(np.zeros((3, 5)), np.zeros((2, 5)), 0.01)

@@ -16,11 +16,13 @@ ANALYZE = shutil.which("systemd-analyze")
 needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="systemd-analyze is not on this machine")
 
 
-def unit() -> configparser.ConfigParser:
+@pytest.fixture
+def service() -> configparser.SectionProxy:
+    """Return the section Service of the unit."""
     parser = configparser.ConfigParser(interpolation=None)
     parser.optionxform = str
     parser.read(SYSTEMD / "softarmd.service")
-    return parser
+    return parser["Service"]
 
 
 @pytest.fixture
@@ -51,20 +53,18 @@ def test_the_exposure_is_at_most_two(installed):
     assert verdict.returncode == 0, verdict.stdout[-2000:] + verdict.stderr
 
 
-def test_the_watchdog_is_slower_than_a_few_ticks_and_systemd_waits_for_the_log():
-    service = unit()["Service"]
+def test_the_watchdog_is_slower_than_a_few_ticks_and_systemd_waits_for_the_log(service):
     assert service["Type"] == "notify"
     assert service["WatchdogSec"] == "1s"
     assert service["TimeoutStopSec"] == "10s"
     assert service["ExecStart"] == "/opt/softarm/.venv/bin/softarm run --config /etc/softarm/softarm.yaml"
 
 
-def test_the_limit_of_open_files_is_the_daemons():
-    assert int(unit()["Service"]["LimitNOFILE"]) == DESCRIPTORS
+def test_the_limit_of_open_files_is_the_daemons(service):
+    assert int(service["LimitNOFILE"]) == DESCRIPTORS
 
 
-def test_the_serial_port_and_real_time_stay_available():
-    service = unit()["Service"]
+def test_the_serial_port_and_real_time_stay_available(service):
     assert service["SupplementaryGroups"] == "dialout"
     assert service["DeviceAllow"] == "char-ttyACM rw"
     assert not {"PrivateDevices", "RestrictRealtime", "PrivateNetwork"} & set(service)
@@ -82,7 +82,6 @@ def test_the_rule_gives_the_daemon_access_and_excludes_modemmanager():
     assert terms["SYMLINK"] == "softarm-regulator"
 
 
-def test_the_rails_process_has_time_to_stop_the_drive():
-    service = unit()["Service"]
+def test_the_rails_process_has_time_to_stop_the_drive(service):
     assert service["KillMode"] == "control-group"
     assert float(service["TimeoutStopSec"].removesuffix("s")) > master.SHUT_DOWN_S + drive.BRAKE_MAX_S

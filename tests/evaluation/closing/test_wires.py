@@ -13,14 +13,9 @@ from softarm.schemas.config import Config, Goals, Limits, RailLimits, Workspace
 from tests.evaluation.closing.cases import findings, seen
 
 BOTH = {OLD: MODELS / "reach.onnx", NEW: MODELS / "reach-robust.onnx"}
-LIVE = (pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(170))
 KEYS = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")
 
-
-def live(test):
-    for mark in LIVE:
-        test = mark(test)
-    return test
+pytestmark = pytest.mark.timeout(170)
 
 
 def test_devices_with_unknown_limits_are_not_moved():
@@ -42,7 +37,7 @@ def test_a_workspace_without_a_test_target_is_refused(tmp_path):
 
 
 @pytest.mark.prove
-@live
+@pytest.mark.realtime
 def test_old_and_new_fly_the_same_goals_on_the_twin(tmp_path):
     reported, twin = [], wires.Twin("our twin", ("--reality", "--fault", "rail.delay_s=0.05"), True)
     config = Config(limits=Limits(rail=RailLimits(latency_s=0.06)))
@@ -88,7 +83,7 @@ def before_the_second_goal(monkeypatch):
 
 
 @pytest.mark.prove
-@live
+@pytest.mark.realtime
 def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path, before_the_second_goal):
     before_the_second_goal(lambda bench: httpx.post(f"http://127.0.0.1:{robot.api.port}/api/stop"))
     found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
