@@ -5,12 +5,14 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.stage import view_of
 from validation.mechanisms.cases import stage_text
 from validation.mechanisms.record import ROBOTS, record, write
 
@@ -68,6 +70,64 @@ def described(folder, model, **channels):
     }
     (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
     return folder / "stage.yaml"
+
+
+def described_model(folder, text, unit="rad"):
+    """Write a MuJoCo model and a stage.yaml with all its named joints and actuators, and return the latter's path.
+
+    unit: of the commands.
+    """
+    (folder / "robot.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    measured, command = dict.fromkeys(names(model, "joint"), "rad"), dict.fromkeys(names(model, "actuator"), unit)
+    return described(folder, "robot.xml", measured=measured, command=command)
+
+
+def names(model, kind):
+    """Return the names of all joints or actuators of a MuJoCo model; kind: "joint" or "actuator"."""
+    count = {"joint": model.njnt, "actuator": model.nu}[kind]
+    return [getattr(model, kind)(i).name for i in range(count)]
+
+
+def simulate(model, file, commands, *, data=None, control=None, read=None, step_s=0.01):
+    """Move a MuJoCo model and write time, commands and positions, with a column for each actuator and joint.
+
+    Args:
+        model: model of hinges and slides, or its text.
+        commands: commands of the actuators, or input of `control`, [T, ...].
+        data: state at the start; by default at rest.
+        control: function of state and input -> commands; by default the input itself.
+        read: function of the positions -> readings of the encoders; by default the positions themselves.
+        step_s: time between two rows, s.
+    """
+    model = mujoco.MjModel.from_xml_string(model) if isinstance(model, str) else model
+    data, rows = data or mujoco.MjData(model), []
+    for k, command in enumerate(commands):
+        data.ctrl[:] = command if control is None else control(data, command)
+        rows.append((k * step_s, *data.ctrl, *(data.qpos if read is None else read(data.qpos))))
+        mujoco.mj_step(model, data, nstep=round(step_s / model.opt.timestep))
+    header = ",".join(("t", *names(model, "actuator"), *names(model, "joint")))
+    np.savetxt(file, rows, "%.8g", delimiter=",", header=header, comments="")
+
+
+def noisy(random, size):
+    """Return an encoder's readings of positions: a function that adds noise of a size."""
+    return lambda positions: positions + size * random.normal(size=len(positions))
+
+
+def of_joint(stage, joint):
+    """Return the trials of one joint of a stage.yaml."""
+    return [trial for trial in tables.read(stage) if trial.stage.name == joint]
+
+
+def view_of_joint(stage, joint):
+    """Return the view of one joint of a stage.yaml."""
+    return view_of(of_joint(stage, joint))[0]
+
+
+def rms(view, point=None):
+    """Return the root mean square of a view's gap, by default of its nominal model."""
+    return float(np.sqrt(np.nanmean(view.gap([point or {}]) ** 2)))
 
 
 def named(trials):

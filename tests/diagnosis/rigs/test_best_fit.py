@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from softarm.diagnosis.rigs.best_fit import best_fit
 from softarm.diagnosis.rigs.candidates import candidates, setup_of
 from softarm.diagnosis.rigs.stage import examine, view_of
 from tests.diagnosis.rigs.mjcf.test_model_attributes import ROBOT, changed, elbows, record
+from tests.diagnosis.rigs.recordings import rms
 
 LOOP = 'kp="30" kv="1.2" forcerange="-8 8"'
 
@@ -18,7 +18,7 @@ def test_whole_recordings_show_an_error_that_windows_hide(tmp_path):
     weak = changed(LOOP, 'kp="2" kv="0.05" forcerange="-8 8"')
     record(weak, tmp_path / "motion.csv", seconds=5)
     view, _ = view_of(elbows(tmp_path, weak.replace('frictionloss="0.05"', 'frictionloss="0.15"')))
-    windows, whole = (np.sqrt(np.nanmean(each.gap([{}]) ** 2)) for each in (view, view.uninterrupted()))
+    windows, whole = (rms(each) for each in (view, view.uninterrupted()))
     assert whole > 1.4 * windows
 
 

@@ -8,7 +8,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.settling import chosen_law, common_law, is_other_law
 from softarm.diagnosis.rigs.stage import examine
-from tests.diagnosis.rigs.recordings import described
+from tests.diagnosis.rigs.recordings import described_model, noisy, of_joint, simulate
 
 # Energies per sample with the usual law, with friction that creeps, and with the steps of a simulation as well.
 HEALTHY, FAULTY = (1.18, 1.17, 0.97), (2.2, 2.0, 2.0)
@@ -63,31 +63,24 @@ def write(folder):
     """Record four legs side by side in MuJoCo, of which one has twice the damping, and describe them."""
     model = mujoco.MjModel.from_xml_string(ROBOT)
     model.dof_damping[1] = 4.0
-    (folder / "robot.xml").write_text(ROBOT)
     t = np.arange(SECONDS * RATE_HZ) / RATE_HZ
-    names = [f"a{k}" for k in range(4)], [f"j{k}" for k in range(4)]
     for seed in range(3):
-        data, random, rows = mujoco.MjData(model), np.random.default_rng(seed), []
+        data, random = mujoco.MjData(model), np.random.default_rng(seed)
         phase, speed = random.uniform(0, 2 * np.pi, (4, 3)), random.uniform(0.7, 1.3, (4, 3)) * (0.3, 0.9, 1.9)
         goals = 0.2 * np.sin(2 * np.pi * t[:, None, None] * speed + phase).sum(axis=2)
         data.qpos[:] = goals[0]
-        for at, goal in zip(t, goals, strict=True):
-            data.ctrl[:] = goal
-            rows.append([at, *goal, *data.qpos + 2e-4 * random.normal(size=4)])
-            mujoco.mj_step(model, data, nstep=round(1 / RATE_HZ / STEP_S))
-        header = ",".join(("t", *names[0], *names[1]))
-        np.savetxt(folder / f"motion-{seed}.csv", rows, "%.8g", delimiter=",", header=header, comments="")
-    commanded, measured = (dict.fromkeys(own, "rad") for own in names)
-    return described(folder, "robot.xml", command=commanded, measured=measured)
+        file = folder / f"motion-{seed}.csv"
+        simulate(model, file, goals, data=data, read=noisy(random, 2e-4), step_s=1 / RATE_HZ)
+    return described_model(folder, ROBOT)
 
 
 @pytest.mark.prove
 def test_an_effect_beside_the_steps_of_a_simulation_has_its_own_size(tmp_path):
-    trials = tables.read(write(tmp_path))
-    alone = examine([trial for trial in trials if trial.stage.name == "j1"])
+    stage = write(tmp_path)
+    alone = examine(of_joint(stage, "j1"))
     assert not any("own step" in text for text in alone.warnings)  # the effect stands in for the steps
     shares: list[float] = []
-    verdict = diagnose_table(trials, lambda text, share: shares.append(share)).verdict
+    verdict = diagnose_table(tables.read(stage), lambda text, share: shares.append(share)).verdict
     assert shares == sorted(shares)
     assert any("own step" in text for text in verdict.warnings if text.startswith("j1"))
     (effect,) = verdict.effects

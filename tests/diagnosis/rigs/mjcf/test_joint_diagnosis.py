@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.diagnosis.data import tables
-from softarm.diagnosis.data.trials import Series, stage_of
+from softarm.diagnosis.data.trials import Series
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.rigs.candidates import candidates
 from softarm.diagnosis.rigs.diagnose import diagnose_table
@@ -22,20 +22,27 @@ from softarm.diagnosis.rigs.subsample import cut
 from softarm.schemas.verdict import Interval, NamedEffect, Shrink
 from tests.diagnosis.rigs.mjcf.test_joint_law import HARD
 from tests.diagnosis.rigs.mjcf.test_joint_law import SERVO as SERVO_MODEL
-from tests.diagnosis.rigs.recordings import MECHANISM_KINDS, SERVO, STAGES, described, mechanism, shipped
+from tests.diagnosis.rigs.recordings import (
+    MECHANISM_KINDS,
+    SERVO,
+    STAGES,
+    described_model,
+    mechanism,
+    of_joint,
+    rms,
+    shipped,
+    simulate,
+    view_of_joint,
+)
 from validation.mechanisms.record import JointLaw, Truth
 
 GROUND = '<geom type="plane" size="2 2 0.1" pos="0.1 0 0" euler="0 -90 0"/>'
-CREEPING = """
-kind: mujoco
-channels:
-  measured: {time: {source: t, unit: s}, columns: {elbow: {source: elbow, unit: rad}}}
-  command: {time: {source: t, unit: s}, columns: {servo: {source: servo, unit: rad}}}
-model: {mjcf: servo.xml}
-trials:
-  - {files: "run-*.csv"}
-"""
 TILT_RAD = (0.0524, -0.0349)
+
+
+def encoder(positions):
+    """Return the readings of an encoder with steps of 0.1 mrad."""
+    return np.round(positions, 4)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +55,7 @@ def test_each_measured_joint_is_a_stage_that_the_other_joints_and_the_base_drive
     assert {trial.stage.name for trial in camera} == {"pan", "tilt"}
     trials = [trial for trial in camera if trial.stage.name == "pan"]
     without = [replace(t, channels={n: s for n, s in t.channels.items() if n != "base"}) for t in trials]
-    left, more = (np.sqrt(np.nanmean(view_of(each)[0].gap([{}]) ** 2)) for each in (trials, without))
+    left, more = (rms(view_of(each)[0]) for each in (trials, without))
     assert left < 1.2e-3  # the step of the encoder is 1 mrad
     assert more > 3 * left
 
@@ -58,19 +65,14 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     """The joint has 0.6 N m more than its model, which MuJoCo regularises by default."""
     text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8)
     nominal = text.replace(HARD, "")
-    (tmp_path / "servo.xml").write_text(nominal)
     simulated = mujoco.MjModel.from_xml_string(nominal if creeps else text)
     simulated.dof_frictionloss[:] = 0.7
+    t = np.arange(150) / 100
     for number in range(2):
-        data, rows, turn = mujoco.MjData(simulated), [], np.random.default_rng(number).uniform(0, 6, 2)
-        for k in range(150):
-            t = 0.01 * k
-            data.ctrl[0] = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
-            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4)))
-            mujoco.mj_step(simulated, data, nstep=10)
-        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.5f", ",", header="t,servo,elbow", comments="")
-    (tmp_path / "stage.yaml").write_text(CREEPING)
-    trials = tables.read(tmp_path / "stage.yaml")
+        turn = np.random.default_rng(number).uniform(0, 6, 2)
+        goals = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
+        simulate(simulated, tmp_path / f"run-{number}.csv", goals, read=encoder)
+    trials = tables.read(described_model(tmp_path, nominal))
     view, used = view_of(trials)
     settled(view, [trial.kind for trial in used.trials], used.origins)
     assert view.nominal("coulomb_friction.creep") == creeps
@@ -84,21 +86,19 @@ def test_windows_end_where_a_leg_touches_the_ground(tmp_path):
     """The ground pushes the foot for part of each swing; a simulation through it would lead far away."""
     text = SERVO_MODEL.format(damping=0.05, dry=0.0, kp=60, limit=8).replace("<worldbody>", f"<worldbody>{GROUND}")
     text = text.replace("</body>", '<geom name="foot" size="0.02" pos="0 0 -0.3" mass="0"/></body>')
-    (tmp_path / "servo.xml").write_text(text)
-    model = mujoco.MjModel.from_xml_string(text)
+    touches = []
+
+    def control(data, goal):
+        touches.append(data.ncon > 0)
+        return goal
+
     for number in range(2):
-        data, rows = mujoco.MjData(model), []
-        for k in range(500):
-            t = 0.01 * k
-            data.ctrl[0] = 0.5 * np.sin(5 * t + number)
-            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4), data.ncon > 0))
-            mujoco.mj_step(model, data, nstep=10)
-        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.5f", ",", header="t,servo,elbow,touches", comments="")
-    (tmp_path / "stage.yaml").write_text(CREEPING)
-    (view, _), touching = view_of(tables.read(tmp_path / "stage.yaml")), np.mean([row[-1] for row in rows])
+        goals = 0.5 * np.sin(0.05 * np.arange(500) + number)
+        simulate(text, tmp_path / f"run-{number}.csv", goals, control=control, read=encoder)
+    view, touching = view_of_joint(described_model(tmp_path, text), "elbow"), np.mean(touches)
     assert touching > 0.2
     assert 0.2 < np.isfinite(view.measured).mean() < 1 - touching
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 1.5e-3  # 6 mrad with windows through the ground
+    assert rms(view) < 1.5e-3  # 6 mrad with windows through the ground
 
 
 @pytest.fixture(scope="module")
@@ -111,18 +111,17 @@ def test_the_friction_of_the_model_bends_over_the_travel_that_leaves_the_smalles
     """The recorded friction bends by 1 mm. No model file states it, and its effect is far from linear."""
     view = JointView([trial for trial in swinging if trial.stage.name == "rail"])
     usual = view.nominal("coulomb_friction.give")
-    left = np.sqrt(np.nanmean(view.gap([{}]) ** 2))
+    left = rms(view)
     assert usual < 0.5e-3
     settled(view, MECHANISM_KINDS, range(len(MECHANISM_KINDS)))
     assert view.nominal("coulomb_friction.give") == pytest.approx(1e-3, abs=0.6 * usual)
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 0.6 * left
+    assert rms(view) < 0.6 * left
 
 
 @pytest.mark.prove
 def test_the_friction_bends_over_the_same_travel_beside_a_fault(tmp_path):
     """Without the spring, another travel leaves the smallest gap, and friction would be named next to the spring."""
-    stage = mechanism(tmp_path, "cartpole", Truth({"rail": JointLaw(spring=2.0)}))
-    view = JointView([trial for trial in tables.read(stage) if trial.stage.name == "rail"])
+    view = JointView(of_joint(mechanism(tmp_path, "cartpole", Truth({"rail": JointLaw(spring=2.0)})), "rail"))
     settled(view, MECHANISM_KINDS, range(len(MECHANISM_KINDS)))
     assert view.nominal("coulomb_friction.give") == pytest.approx(1e-3, abs=0.3e-3)
 
@@ -135,20 +134,15 @@ UPRIGHT = """<mujoco><option timestep="0.002"/><worldbody><body>
 
 def test_an_upright_link_under_torque_commands_has_windows_in_which_errors_stay_small(tmp_path):
     """A link falls with a rate of 5 /s, held by a controller outside; the recording has the torques alone."""
-    (tmp_path / "robot.xml").write_text(UPRIGHT)
     model = mujoco.MjModel.from_xml_string(UPRIGHT)
     model.opt.timestep = 5e-4
-    data, rows = mujoco.MjData(model), ["t,drive,lean"]
-    for k in range(20_000):
-        if k % 10 == 0:
-            wanted = 0.6 * np.sin(0.9 * data.time)
-            data.ctrl[0] = 40.0 * (wanted - data.qpos[0]) - 4.0 * data.qvel[0]
-            rows.append(f"{data.time:.6g},{data.ctrl[0]:.6g},{np.round(data.qpos[0] / 1e-4) * 1e-4:.6g}")
-        mujoco.mj_step(model, data)
-    (tmp_path / "sines.csv").write_text("\n".join(rows))
-    stage = described(tmp_path, "robot.xml", measured={"lean": "rad"}, command={"drive": "N m"})
-    view, _ = view_of(tables.read(stage))
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 2e-3
+
+    def held(data, wanted):
+        return 40.0 * (wanted - data.qpos) - 4.0 * data.qvel
+
+    wanted = 0.6 * np.sin(0.9 * 0.005 * np.arange(2000))
+    simulate(model, tmp_path / "sines.csv", wanted, control=held, read=encoder, step_s=0.005)
+    assert rms(view_of_joint(described_model(tmp_path, UPRIGHT, "N m"), "lean")) < 2e-3
 
 
 def finding(stage, driven_by, *, kind="none", noise=False, confidence=None):
@@ -202,8 +196,7 @@ def test_a_name_is_rated_if_the_motion_that_loads_its_joint_is_explained(pole, r
 def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tmp_path):
     """The pan axis is upright: no other effect makes it depend on gravity. The base has 3 and -2 degrees."""
     stage = mechanism(tmp_path, "camera", Truth({}, tilt_rad=TILT_RAD))
-    trials = [trial for trial in tables.read(stage) if trial.stage.name == "pan"]
-    (effect,) = diagnose_table(trials).verdict.effects
+    (effect,) = diagnose_table(of_joint(stage, "pan")).verdict.effects
     assert (effect.name, effect.equivalents) == ("pan.tilt", ())
     for axis, angle in zip("xy", TILT_RAD, strict=True):
         assert effect.parameters[axis].low <= angle <= effect.parameters[axis].high
@@ -211,9 +204,9 @@ def test_a_tilted_base_is_named_where_its_load_has_a_shape_of_its_own(tmp_path):
 
 @pytest.mark.prove
 def test_a_tilted_base_and_a_wrong_zero_are_one_for_a_planar_mechanism(tmp_path):
-    trials = tables.read(mechanism(tmp_path, "leg", Truth({}), seconds=2.0))
+    stage = mechanism(tmp_path, "leg", Truth({}), seconds=2.0)
     for joint in ("hip", "knee", "ankle"):
-        view = JointView([trial for trial in trials if trial.stage.name == joint])
+        view = JointView(of_joint(stage, joint))
         same = {name for names in view.indistinguishable.values() for name in names}
         candidate = f"{joint}.tilt" in {each.name for each in candidates(view)}
         assert candidate != (f"{joint}.tilt" in same)
@@ -242,15 +235,14 @@ def test_zeros_that_differ_between_recordings_are_no_gap_but_their_mean_is(swing
     """An encoder that is set to zero at each start: dry friction holds the pose at which it is set."""
     apart, same = (0.02, -0.02), (0.02, 0.02)
     right, differ, shifted = (
-        float(np.sqrt(np.nanmean(view_of(with_zeros(swinging, "hinge", zeros))[0].gap([{}]) ** 2)))
-        for zeros in ((0.0, 0.0), apart, same)
+        rms(view_of(with_zeros(swinging, "hinge", zeros))[0]) for zeros in ((0.0, 0.0), apart, same)
     )
     assert right < differ < 0.2 * shifted
 
 
 def test_a_difference_that_no_zero_has_stays_a_gap(swinging):
     view = JointView(with_zeros(swinging, "hinge", (0.3, -0.3)))
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) > 0.1
+    assert rms(view) > 0.1
     assert not any("zero" in warning for warning in view.warnings({}))
 
 
@@ -266,7 +258,7 @@ def test_a_stretch_has_the_zero_of_its_recording(swinging):
 @pytest.mark.prove
 def test_a_dead_band_is_named_at_its_joint_with_its_size(tmp_path):
     stage = mechanism(tmp_path, "camera", Truth({"tilt": JointLaw(dead=0.012)}))
-    verdict = diagnose_table([t for t in tables.read(stage) if t.stage.name == "tilt"], budget_s=4).verdict
+    verdict = diagnose_table(of_joint(stage, "tilt"), budget_s=4).verdict
     assert [effect.name for effect in verdict.effects] == ["tilt.deadband"]
     assert verdict.where.stage == "tilt"
     assert verdict.effects[0].parameters["width"].value == pytest.approx(0.012, rel=0.15)
@@ -353,23 +345,20 @@ def hand(folder, dry, load="", *, noise=5e-4, wave=np.sin, samples=500):
     """
     text, place = HANGING.format(dry=dry), 'diaginertia="1e-4 1e-4 1e-4"/>'
     assert place in text
-    (folder / "arm.xml").write_text(text)
-    model, random = mujoco.MjModel.from_xml_string(text.replace(place, place + load)), np.random.default_rng(3)
+    loaded, random, t = text.replace(place, place + load), np.random.default_rng(3), np.arange(samples) / 100
+
+    def read(positions):
+        return positions[0] + noise * random.normal(), np.round(positions[1], 5)
+
     for number in range(2):
-        data, rows = mujoco.MjData(model), []
-        for k in range(samples):
-            t = 0.01 * k
-            data.ctrl[0] = 0.3 * wave(3 * t + number) + 0.2 * np.sin(4.7 * t)
-            rows.append((t, data.ctrl[0], data.qpos[0] + noise * random.normal(), np.round(data.qpos[1], 5)))
-            mujoco.mj_step(model, data, nstep=10)
-        np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,upper,hand", comments="")
-    stage = described(folder, "arm.xml", measured={"upper": "rad", "hand": "rad"}, command={"servo": "rad"})
-    return [trial for trial in tables.read(stage) if trial.stage.name == "hand"]
+        goals = 0.3 * wave(3 * t + number) + 0.2 * np.sin(4.7 * t)
+        simulate(loaded, folder / f"run-{number}.csv", goals, read=read)
+    return of_joint(described_model(folder, text), "hand")
 
 
 def test_noise_of_the_carrying_joint_is_in_the_floor_of_a_light_one_and_no_motion_between_samples(tmp_path):
     view, _ = view_of(hand(tmp_path, dry=0.0))
-    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
+    left = rms(view)
     assert left > 5e-5
     assert 0.7 * left < view.floor[0] < 1.5 * left
     assert np.isfinite(view.measured).mean() > 0.9
@@ -380,7 +369,7 @@ def test_steps_of_another_joint_between_samples_are_left_out_beside_its_noise(tm
     view, _ = view_of(hand(tmp_path, dry=0.0, wave=lambda phase: np.sign(np.sin(phase))))
     (warning,) = (each for each in view.warnings({}) if "between two samples" in each)
     assert "left out" in warning
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < view.floor[0]
+    assert rms(view) < view.floor[0]
 
 
 def test_a_payload_at_the_tip_explains_the_gap_at_its_own_distance(tmp_path):
@@ -389,7 +378,7 @@ def test_a_payload_at_the_tip_explains_the_gap_at_its_own_distance(tmp_path):
     view, _ = view_of(hand(tmp_path, dry=0.0, load=load))
 
     def left(kg, m):
-        return np.sqrt(np.nanmean(view.gap([{"hand.payload.mass": kg, "hand.payload.distance": m}]) ** 2))
+        return rms(view, {"hand.payload.mass": kg, "hand.payload.distance": m})
 
     at_tip, at_centre = left(0.05, 0.15), min(left(kg, 0.05) for kg in (0.05, 0.15, 0.3, 0.45))
     assert at_tip < 0.25 * left(0.0, 0.15)
@@ -402,7 +391,7 @@ def test_that_floor_is_measured_again_beside_friction_that_creeps(tmp_path):
     view, used = view_of(hand(tmp_path, dry=0.1, samples=1500))
     settled(view, [trial.kind for trial in used.trials], used.origins)
     assert view.nominal("coulomb_friction.creep")
-    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
+    left = rms(view)
     assert 0.7 * left < view.floor[0] < 1.1 * left
 
 
@@ -437,19 +426,16 @@ MOTOR = """<mujoco>
 @pytest.mark.prove
 def test_friction_that_takes_most_of_a_motors_torque_is_named(tmp_path):
     """The model has 0.01 N m, so its motion needs a small part of the torque that was given."""
-    (tmp_path / "servo.xml").write_text(MOTOR.format(dry=0.01))
-    simulated = mujoco.MjModel.from_xml_string(MOTOR.format(dry=0.6))
+    t = np.arange(600) / 100
+
+    def held(data, wanted):
+        return 1.6 * (wanted - data.qpos) + 0.5 * np.sin(data.qpos)
+
     for number in range(2):
-        data, rows, turn = mujoco.MjData(simulated), [], np.random.default_rng(number).uniform(0, 6, 2)
-        for k in range(600):
-            t = 0.01 * k
-            wanted = 0.4 * np.sin(3 * t + turn[0]) + 0.3 * np.sin(1.3 * t + turn[1])
-            data.ctrl[0] = 1.6 * (wanted - data.qpos[0]) + 0.5 * np.sin(data.qpos[0])
-            rows.append((t, data.ctrl[0], np.round(data.qpos[0], 4)))
-            mujoco.mj_step(simulated, data, nstep=5)
-        np.savetxt(tmp_path / f"run-{number}.csv", rows, "%.6f", ",", header="t,servo,elbow", comments="")
-    (tmp_path / "stage.yaml").write_text(CREEPING.replace("{source: servo, unit: rad}", "{source: servo, unit: N m}"))
-    (named,) = diagnose_table(tables.read(tmp_path / "stage.yaml")).verdict.effects
+        turn = np.random.default_rng(number).uniform(0, 6, 2)
+        wanted = 0.4 * np.sin(3 * t + turn[0]) + 0.3 * np.sin(1.3 * t + turn[1])
+        simulate(MOTOR.format(dry=0.6), tmp_path / f"run-{number}.csv", wanted, control=held, read=encoder)
+    (named,) = diagnose_table(tables.read(described_model(tmp_path, MOTOR.format(dry=0.01), "N m"))).verdict.effects
     assert named.name == "elbow.coulomb_friction"
     assert named.parameters["torque"].value == pytest.approx(0.6, abs=0.01)
 
@@ -466,7 +452,7 @@ def test_an_effect_that_enlarges_the_held_out_gap_is_not_named(tmp_path):
 def test_an_interval_allows_for_errors_of_the_model_beside_a_large_effect(tmp_path):
     """With half the stiffness, the errors of gain, damper and rotor act otherwise than in the model."""
     law = JointLaw(stiff=0.5, gain=0.985, viscous=1.015, armature=0.985)
-    trials = tables.read(mechanism(tmp_path, "gripper", Truth({"wrist": law}), seconds=6.0))
-    (named,) = examine([trial for trial in trials if stage_of([trial]).name == "wrist"]).named
+    stage = mechanism(tmp_path, "gripper", Truth({"wrist": law}), seconds=6.0)
+    (named,) = examine(of_joint(stage, "wrist")).named
     assert named.name == "wrist.position_gain"
     assert named.parameters["scale"].low < law.stiff - 1 < named.parameters["scale"].high

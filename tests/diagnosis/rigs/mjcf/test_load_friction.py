@@ -3,6 +3,7 @@
 import numpy as np
 
 from softarm.diagnosis.from_files import diagnose_files
+from tests.diagnosis.rigs.recordings import described_model
 
 STEP_S, EACH, COUNTS = 5e-4, 20, 4096
 KP, BACK_EMF, ARMATURE, DRY = 30.0, 0.7, 0.012, 0.1  # of a servo like a Dynamixel MX-64
@@ -13,24 +14,12 @@ MODEL = f"""
   <option gravity="0 0 -{GRAVITY}" timestep="0.001"/>
   <worldbody>
     <body>
-      <joint name="servo" axis="1 0 0" armature="{ARMATURE}" damping="{BACK_EMF}" frictionloss="{DRY}"/>
+      <joint name="horn" axis="1 0 0" armature="{ARMATURE}" damping="{BACK_EMF}" frictionloss="{DRY}"/>
       <inertial pos="0 0 -{LENGTH_M}" mass="{MASS_KG}" diaginertia="1e-6 1e-6 1e-6"/>
     </body>
   </worldbody>
-  <actuator><position name="servo" joint="servo" kp="{KP}"/></actuator>
+  <actuator><position name="servo" joint="horn" kp="{KP}"/></actuator>
 </mujoco>
-"""
-STAGE = """
-kind: mujoco
-name: servo
-channels:
-  measured: {time: {source: t, unit: s}, columns: {servo: {source: angle, unit: rad}}}
-  command: {time: {source: t, unit: s}, columns: {servo: {source: command, unit: rad}}}
-model: {mjcf: robot.xml}
-trials:
-  - {name: sweep, kind: sweep, files: sweep.csv}
-  - {name: waves, kind: waves, files: waves.csv}
-  - {name: slow, kind: slow, files: slow.csv}
 """
 MOTIONS = {
     "sweep": lambda t: np.sin(t**2),
@@ -58,11 +47,9 @@ def recorded(command):
 
 def test_friction_by_the_load_of_a_gear_is_named_with_its_share(tmp_path):
     for name, command in MOTIONS.items():
-        np.savetxt(tmp_path / f"{name}.csv", recorded(command), delimiter=",", header="t,command,angle", comments="")
-    (tmp_path / "robot.xml").write_text(MODEL)
-    (tmp_path / "stage.yaml").write_text(STAGE)
-    verdict = diagnose_files([tmp_path / "stage.yaml"], processes=1).verdict
-    assert [each.name for each in verdict.effects] == ["servo.load_friction"]
+        np.savetxt(tmp_path / f"{name}.csv", recorded(command), delimiter=",", header="t,servo,horn", comments="")
+    verdict = diagnose_files([described_model(tmp_path, MODEL)], processes=1).verdict
+    assert [each.name for each in verdict.effects] == ["horn.load_friction"]
     assert not verdict.effects[0].equivalents
     share, part = (verdict.effects[0].parameters[name] for name in ("share", "from_load"))
     assert share.low <= 2 * SHARE <= share.high  # both torques are alike at rest

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes, unlike
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.view import JointView
-from softarm.diagnosis.rigs.stage import view_of
+from tests.diagnosis.rigs.recordings import of_joint, rms, view_of_joint
 from validation.mechanisms.cases import stage_text
 from validation.mechanisms.record import ROBOTS, Truth, record, write
 
@@ -33,12 +32,18 @@ def view(folder, recorded, robot, joint, change=("", ""), model=("", "")):
     stage = stage_text(ROBOTS[robot]).replace("  - {files: holds-*.csv, kind: holds}\n", "")
     (folder / "stage.yaml").write_text(stage.replace(*change))
     (folder / "robot.xml").write_text(ROBOTS[robot].model.read_text().replace(*model))
-    return view_of([t for t in tables.read(folder / "stage.yaml") if t.stage.name == joint])[0]
+    return view_of_joint(folder / "stage.yaml", joint)
 
 
 def signals(seen, speed, command, needed):
     """Return signals whose motion needs the opposite torque if the readings have the opposite sign."""
     return Compared(seen, command, needed, np.stack((np.sign(speed), speed), axis=1), lambda: -needed)
+
+
+def complaints(found, joint="hip"):
+    """Return the mistakes that signals of a joint of the leg, or of the camera, show."""
+    robot = "leg" if joint == "hip" else "camera"
+    return list(mistakes(Mechanism(ROBOTS[robot].model).joint(joint), "run.csv", found))
 
 
 def test_a_right_description_is_accepted(tmp_path, recorded):
@@ -147,7 +152,7 @@ def test_a_measured_torque_takes_the_place_of_any_actuator(tmp_path, recorded, a
         "      hip: {source: cmd_hip, unit: N m, scale: 6}\n  command:"
     )
     found = view(tmp_path, recorded, "leg", "hip", ("  command:", torque), (motor, actuator))
-    assert np.sqrt(np.nanmean(found.gap([{}]) ** 2)) < 5e-3
+    assert rms(found) < 5e-3
     with pytest.raises(TrialError, match="resembles its position, and its actuator hip takes torques"):
         view(tmp_path, recorded, "leg", "hip", ("  command:", torque.replace("cmd_hip", "q_hip")), (motor, actuator))
 
@@ -170,10 +175,8 @@ def test_neither_a_torque_limit_nor_a_payload_is_a_wrong_unit(factor, limit, ref
     """Small torques separate a limit from a wrong gear or unit; a payload may load a wrist with five times its own."""
     command = np.random.default_rng(2).normal(size=2000)
     needed = factor * np.clip(command, -limit, limit)
-    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     seen = np.cumsum(command) * 1e-3
-    found = list(mistakes(hip, "run.csv", signals(seen, np.roll(command, 700), command, needed)))
-    assert bool(found) == refused
+    assert bool(complaints(signals(seen, np.roll(command, 700), command, needed))) == refused
 
 
 def beside_a_box(z_m, gap_m=0):
@@ -224,7 +227,7 @@ def test_stretches_of_a_recording_are_too_short_to_be_judged(tmp_path, recorded)
         view(
             tmp_path, recorded, "camera", "tilt", ("source: q_tilt, unit: rad", "source: q_tilt, unit: rad, scale: -1")
         )
-    (trial,) = (t for t in tables.read(tmp_path / "stage.yaml") if t.stage.name == "tilt")
+    (trial,) = of_joint(tmp_path / "stage.yaml", "tilt")
     assert JointView([replace(trial, recording="multisine")]).stage == "tilt"
 
 
@@ -245,10 +248,8 @@ def test_a_position_that_lags_far_behind_is_no_torque(alike, refused):
     """A servo that friction slows moves at a speed that follows its command, and so does the torque that it needs."""
     random = np.random.default_rng(4)
     command, other, seen = random.normal(size=(3, 5000))
-    tilt = Mechanism(ROBOTS["camera"].model).joint("tilt")
     needed = alike * command + np.sqrt(1 - alike**2) * other
-    found = list(mistakes(tilt, "run.csv", signals(seen, np.gradient(seen), command, needed)))
-    assert bool(found) == refused
+    assert bool(complaints(signals(seen, np.gradient(seen), command, needed), "tilt")) == refused
 
 
 def test_friction_that_takes_most_of_the_torque_is_no_wrong_unit():
@@ -258,9 +259,8 @@ def test_friction_that_takes_most_of_the_torque_is_no_wrong_unit():
     speed -= np.mean(speed)
     needed = 0.3 * np.sign(speed) + 0.1 * random.normal(size=5000)
     command = needed + 1.5 * np.sign(speed)
-    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
-    assert list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, command, needed))) == []
-    assert len(list(mistakes(hip, "run.csv", signals(np.cumsum(speed), speed, 1000 * command, needed)))) == 1
+    assert complaints(signals(np.cumsum(speed), speed, command, needed)) == []
+    assert len(complaints(signals(np.cumsum(speed), speed, 1000 * command, needed))) == 1
 
 
 @pytest.mark.parametrize(("stiffness", "refused"), [(40.0, False), (0.0, True)])
@@ -273,7 +273,7 @@ def test_a_strong_spring_is_no_opposite_sign(stiffness, refused):
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     found = signals(seen, np.gradient(seen, t_s), command, acceleration)
     assert np.corrcoef(command, -acceleration)[0, 1] > 0.85
-    assert bool(list(mistakes(hip, "run.csv", found))) == refused
+    assert bool(complaints(found)) == refused
     assert not list(unlike(hip, found))
 
 
@@ -282,9 +282,7 @@ def test_a_torque_of_another_form_is_no_wrong_unit(alike, refused):
     """A joint whose zero is off by a right angle has ten times its torque in the model, and another one."""
     command, other, seen = np.random.default_rng(4).normal(size=(3, 5000))
     needed = 10 * (alike * command + np.sqrt(1 - alike**2) * other)
-    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
-    found = signals(seen, np.gradient(seen), command, needed)
-    assert bool(list(mistakes(hip, "run.csv", found))) == refused
+    assert bool(complaints(signals(seen, np.gradient(seen), command, needed))) == refused
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])
@@ -293,4 +291,4 @@ def test_a_motor_that_is_off_or_tiny_is_no_mistake(size):
     speed, needed = random.normal(size=(2, 5000))
     hip = Mechanism(ROBOTS["leg"].model).joint("hip")
     found = signals(np.cumsum(speed), speed, size * needed, size * needed)
-    assert [*mistakes(hip, "run.csv", found), *unlike(hip, found)] == []
+    assert [*complaints(found), *unlike(hip, found)] == []

@@ -6,21 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.stage import examine, view_of
+from tests.diagnosis.rigs.recordings import described_model, of_joint, rms, simulate
 
 ROBOT = (Path(__file__).parents[4] / "examples/mujoco/robot.xml").read_text()
-STAGE = """kind: mujoco
-channels:
-  measured:
-    time: {source: t, unit: s}
-    columns: {shoulder: {source: shoulder, unit: rad}, elbow: {source: elbow, unit: rad}}
-  command:
-    time: {source: t, unit: s}
-    columns: {shoulder_servo: {source: shoulder_c, unit: rad}, elbow_servo: {source: elbow_c, unit: rad}}
-model: {mjcf: robot.xml}
-trials: [{files: "motion*.csv"}]
-"""
 ELBOW, SERVO, FORE = '<joint name="elbow" range="-2 2"', 'joint="elbow"/>', '<body name="fore"'
 TENDON = (
     '<tendon><fixed name="band" {}><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-1"/></fixed></tendon>'
@@ -56,30 +45,23 @@ def changed(*pairs):
 
 def elbows(folder, text):
     """Return the trials of the elbow, for a model of the robot."""
-    (folder / "robot.xml").write_text(text)
-    (folder / "stage.yaml").write_text(STAGE)
-    return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "elbow"]
+    return of_joint(described_model(folder, text), "elbow")
 
 
 def record(text, file, seconds):
     """Simulate some seconds at 5 kHz and write them at 100 Hz, with an encoder of 0.1 mrad."""
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep = 2e-4
-    data, random, rows = mujoco.MjData(model), np.random.default_rng(1), ["t,shoulder_c,elbow_c,shoulder,elbow"]
+    data, random = mujoco.MjData(model), np.random.default_rng(1)
     held = np.repeat(random.uniform(-0.6, 0.6, (2 * seconds, 2)), 50, axis=0)
-    sines = 0.4 * np.sin(2 * np.pi * np.outer(np.arange(100 * seconds) / 100, [0.9, 1.3]))
-    data.act[:] = (held + sines)[0, 1]  # of a first-order actuator at rest
-    for k, command in enumerate(held + sines):
-        data.ctrl[:] = command
-        values = [*command, *np.round(data.qpos, 4)]
-        rows.append(",".join(f"{value:.6g}" for value in (k / 100, *values)))
-        mujoco.mj_step(model, data, nstep=50)
-    file.write_text("\n".join(rows))
+    commands = held + 0.4 * np.sin(2 * np.pi * np.outer(np.arange(100 * seconds) / 100, [0.9, 1.3]))
+    data.act[:] = commands[0, 1]  # of a first-order actuator at rest
+    simulate(model, file, commands, data=data, read=lambda positions: np.round(positions, 4))
 
 
 def gap(folder, text):
     """Return the RMS of the elbow's gap for a model of the robot, rad."""
-    return float(np.sqrt(np.nanmean(view_of(elbows(folder, text))[0].gap([{}]) ** 2)))
+    return rms(view_of(elbows(folder, text))[0])
 
 
 @pytest.mark.parametrize("name", CHANGES)

@@ -3,16 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.noise import averaged, correlations, drawn, samples_averaged
-from softarm.diagnosis.rigs.stage import view_of
 from softarm.simulator import mjcf, model_file
-from tests.diagnosis.rigs.recordings import described
+from tests.diagnosis.rigs.recordings import described, described_model, rms, simulate, view_of_joint
 
 LINKS = ("link2", "link3", "link4", "link5")
 
@@ -98,26 +96,15 @@ def tracked_arm(folder, noise_m, gain=1.0, trials=2, seconds=10.0):
             mujoco.mj_step(robot, data, nstep=per_tick)
         header = ",".join(("t", "cart_velocity", "pressure", *names))
         np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header=header, comments="")
-    time = {"source": "t", "unit": "s"}
-    columns = {name: {"source": name, "unit": "m"} for name in names}
-    commands = {name: {"source": name, "unit": unit} for name, unit in (("cart_velocity", "m/s"), ("pressure", "1"))}
-    stage = {
-        "kind": "mujoco",
-        "channels": {"mocap": {"time": time, "columns": columns}, "command": {"time": time, "columns": commands}},
-        "model": {"mjcf": "arm.xml"},
-        "trials": [{"files": "run-*.csv"}],
-    }
-    (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
-    return tables.read(folder / "stage.yaml")
+    commands = {"cart_velocity": "m/s", "pressure": "1"}
+    return described(folder, "arm.xml", mocap=dict.fromkeys(names, "m"), command=commands)
 
 
 @pytest.mark.parametrize("noise_m", [pytest.param(2e-5, marks=pytest.mark.prove), 1e-4])
 def test_the_floor_of_a_tracked_joint_holds_the_noise_that_its_angle_shares(tmp_path, noise_m):
     """With 0.1 mm, independent noise of six angles would be twice as large."""
-    trials = tracked_arm(tmp_path, noise_m, trials=1, seconds=6.0)
-    view, _ = view_of([trial for trial in trials if trial.stage.name == "joint3"])
-    left = float(np.sqrt(np.nanmean(view.gap([{}]) ** 2)))
-    assert 0.75 * left < view.floor[0] < 1.3 * left
+    view = view_of_joint(tracked_arm(tmp_path, noise_m, trials=1, seconds=6.0), "joint3")
+    assert 0.75 * rms(view) < view.floor[0] < 1.3 * rms(view)
 
 
 PENDULUM = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
@@ -127,22 +114,16 @@ PENDULUM = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hi
 
 def test_averages_do_not_remove_the_rounding_of_a_coarse_encoder(tmp_path):
     """The step is a tenth of the motion, and many samples rest on it."""
-    (tmp_path / "pendulum.xml").write_text(PENDULUM)
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
-    data, rows, step = mujoco.MjData(model), [], 0.02
-    for k in range(800):
-        data.ctrl[0] = 0.3 * np.sin(0.02 * k) + 0.2 * np.sin(0.035 * k)
-        rows.append((0.01 * k, data.ctrl[0], step * np.round(data.qpos[0] / step)))
-        mujoco.mj_step(model, data, nstep=10)
-    np.savetxt(tmp_path / "run-0.csv", rows, "%.6f", ",", header="t,motor,hinge", comments="")
-    stage = described(tmp_path, "pendulum.xml", measured={"hinge": "rad"}, command={"motor": "N m"})
-    view, _ = view_of(tables.read(stage))
+    step, k = 0.02, np.arange(800)
+    torques = 0.3 * np.sin(0.02 * k) + 0.2 * np.sin(0.035 * k)
+    simulate(PENDULUM, tmp_path / "run-0.csv", torques, read=lambda positions: step * np.round(positions / step))
+    view = view_of_joint(described_model(tmp_path, PENDULUM, "N m"), "hinge")
     assert view.floor[0] > 0.9 * step / np.sqrt(12)
 
 
 @pytest.mark.prove
 def test_a_weak_muscle_shows_through_a_tenth_of_a_millimetre_of_noise(tmp_path):
-    verdict = diagnose_table(tracked_arm(tmp_path, 1e-4, gain=0.85)).verdict
+    verdict = diagnose_table(tables.read(tracked_arm(tmp_path, 1e-4, gain=0.85))).verdict
     assert verdict.verdict == "named"
     assert {effect.name.partition(".")[2] for effect in verdict.effects} == {"gain"}
     for effect in verdict.effects:
@@ -151,4 +132,4 @@ def test_a_weak_muscle_shows_through_a_tenth_of_a_millimetre_of_noise(tmp_path):
 
 @pytest.mark.prove
 def test_a_healthy_arm_has_no_gap_beside_that_noise(tmp_path):
-    assert diagnose_table(tracked_arm(tmp_path, 1e-4)).verdict.verdict == "none"
+    assert diagnose_table(tables.read(tracked_arm(tmp_path, 1e-4))).verdict.verdict == "none"

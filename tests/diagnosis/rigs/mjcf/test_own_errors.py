@@ -6,7 +6,7 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.stage import examine, view_of
-from tests.diagnosis.rigs.recordings import described
+from tests.diagnosis.rigs.recordings import described_model, noisy, of_joint, rms, simulate
 
 pytestmark = pytest.mark.slow
 ROBOT = """<mujoco>
@@ -21,17 +21,6 @@ ROBOT = """<mujoco>
   </body></worldbody>
   <actuator><motor name="turn" joint="turret"/><motor name="lift" joint="shoulder"/></actuator>
 </mujoco>
-"""
-STAGE = """kind: mujoco
-channels:
-  measured:
-    time: {source: t, unit: s}
-    columns: {turret: {source: turret, unit: rad}, shoulder: {source: shoulder, unit: rad}}
-  command:
-    time: {source: t, unit: s}
-    columns: {turn: {source: turn, unit: N m}, lift: {source: lift, unit: N m}}
-model: {mjcf: robot.xml}
-trials: [{files: "motion*.csv"}]
 """
 RATE_HZ, SECONDS = 125, 3
 
@@ -48,31 +37,28 @@ def record(text, file, seed):
     wanted = np.sum(wanted, axis=1).T
     speeds = np.gradient(wanted, 1 / RATE_HZ, axis=0)
     data.qpos[:], data.qvel[:] = wanted[0], speeds[0]
-    rows = ["t,turn,lift,turret,shoulder"]
-    for at, goal, speed in zip(t, wanted, speeds, strict=True):
-        data.qacc[:] = 100 * (goal - data.qpos) + 20 * (speed - data.qvel)
+
+    def torques(data, goal):
+        data.qacc[:] = 100 * (goal[0] - data.qpos) + 20 * (goal[1] - data.qvel)
         mujoco.mj_inverse(model, data)
-        data.ctrl[:] = data.qfrc_inverse
-        values = at, *data.ctrl, *data.qpos + 2e-5 * random.normal(size=2)
-        rows.append(",".join(f"{value:.8g}" for value in values))
-        mujoco.mj_step(model, data, nstep=round(1 / RATE_HZ / model.opt.timestep))
-    file.write_text("\n".join(rows))
+        return data.qfrc_inverse
+
+    goals = np.stack((wanted, speeds), axis=1)
+    simulate(model, file, goals, data=data, control=torques, read=noisy(random, 2e-5), step_s=1 / RATE_HZ)
 
 
 def turret(folder, integrator, recordings=2):
     """Return the trials of the turret, of a healthy robot that MuJoCo has moved."""
     text = ROBOT.format(integrator=integrator)
-    (folder / "robot.xml").write_text(text)
-    (folder / "stage.yaml").write_text(STAGE)
     for seed in range(recordings):
         record(text, folder / f"motion-{seed}.csv", seed)
-    return [trial for trial in tables.read(folder / "stage.yaml") if trial.stage.name == "turret"]
+    return of_joint(described_model(folder, text, "N m"), "turret")
 
 
 @pytest.mark.parametrize("integrator", ["Euler", pytest.param("implicitfast", marks=pytest.mark.prove)])
 def test_the_steps_of_a_simulation_are_recognised_and_no_effect(tmp_path, integrator):
     trials = turret(tmp_path, integrator)
-    without = float(np.sqrt(np.nanmean(view_of(trials)[0].gap([{}]) ** 2)))
+    without = rms(view_of(trials)[0])
     found = examine(trials)
     assert found.decision.kind == "none"
     assert any("the model's own step of 0.002 s" in text for text in found.warnings)
@@ -95,20 +81,14 @@ KNEE = {"step": 0.002, "damping": 7, "armature": 0.1, "mass": 1, "kp": 400}
 
 def servo(folder, sizes, dry):
     """Return the trials of a position loop that MuJoCo has moved; dry: friction besides the model's."""
-    (folder / "robot.xml").write_text(SERVO.format(dry=0.02, **sizes))
-    stage = described(folder, "robot.xml", measured={"elbow": "rad"}, command={"servo": "rad"})
     model, t = mujoco.MjModel.from_xml_string(SERVO.format(dry=0.02 + dry, **sizes)), np.arange(300) / 100
     for seed in range(2):
         data, random = mujoco.MjData(model), np.random.default_rng(seed)
         phases = random.uniform(0, 2 * np.pi, 3)
         goals = 0.2 * sum(np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.9, 1.7), phases, strict=True))
-        data.qpos[:], rows = goals[0], []
-        for data.ctrl[0] in goals:
-            rows.append((data.time, data.ctrl[0], data.qpos[0] + 2e-4 * random.normal()))
-            mujoco.mj_step(model, data, nstep=round(0.01 / model.opt.timestep))
-        file = folder / f"motion-{seed}.csv"
-        np.savetxt(file, rows, "%.7g", delimiter=",", header="t,servo,elbow", comments="")
-    return tables.read(stage)
+        data.qpos[:] = goals[0]
+        simulate(model, folder / f"motion-{seed}.csv", goals, data=data, read=noisy(random, 2e-4))
+    return tables.read(described_model(folder, SERVO.format(dry=0.02, **sizes)))
 
 
 @pytest.mark.parametrize(

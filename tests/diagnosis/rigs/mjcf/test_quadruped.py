@@ -7,6 +7,7 @@ import pytest
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf.view import JointView
+from tests.diagnosis.rigs.recordings import described, rms
 
 pytestmark = pytest.mark.prove
 
@@ -71,23 +72,8 @@ def trot(file, rate_hz, random):
         rows.append((0.002 * k, *data.ctrl, *angles, *place, *turn))
         mujoco.mj_step(model, data, nstep=2)
     assert data.qpos[2] > 0.2  # it stands
-    names = ["t", *(f"{joint}_nm" for joint in JOINTS), *JOINTS, *(f"base_{part}" for part in POSE)]
+    names = ["t", *(f"{joint}_motor" for joint in JOINTS), *JOINTS, *(f"base_{part}" for part in POSE)]
     np.savetxt(file, rows, "%.7g", ",", header=",".join(names), comments="")
-
-
-def described():
-    """Return the stage.yaml: one leg is judged, and the others move as measured."""
-    base = [f"      {joint}: {{source: {joint}, unit: rad}}" for joint in JOINTS if joint not in JUDGED]
-    base += [f"      base_{part}: {{source: base_{part}, unit: {'m' if len(part) == 1 else 1}}}" for part in POSE]
-    channels = {
-        "measured": [f"      {joint}: {{source: {joint}, unit: rad}}" for joint in JUDGED],
-        "command": [f"      {joint}_motor: {{source: {joint}_nm, unit: N m}}" for joint in JUDGED],
-        "base": base,
-    }
-    lines = ["kind: mujoco", "channels:"]
-    for name, columns in channels.items():
-        lines += [f"  {name}:", "    time: {source: t, unit: s}", "    columns:", *columns]
-    return "\n".join([*lines, "model: {mjcf: robot.xml}", "trials:", '  - {files: "trot-*.csv"}', ""])
 
 
 @pytest.fixture(scope="module")
@@ -96,14 +82,19 @@ def trials(tmp_path_factory):
     for number, rate_hz in enumerate((1.6, 1.9)):
         trot(folder / f"trot-{number}.csv", rate_hz, random)
     (folder / "robot.xml").write_text(MODEL)
-    (folder / "stage.yaml").write_text(described())
-    return tables.read(folder / "stage.yaml")
+    # One leg is judged, and the others move as measured.
+    base = dict.fromkeys((joint for joint in JOINTS if joint not in JUDGED), "rad")
+    base |= {f"base_{part}": "m" if len(part) == 1 else "1" for part in POSE}
+    command = dict.fromkeys((f"{joint}_motor" for joint in JUDGED), "N m")
+    return tables.read(
+        described(folder, "robot.xml", measured=dict.fromkeys(JUDGED, "rad"), command=command, base=base)
+    )
 
 
 def test_the_swings_of_a_leg_remain_and_the_model_predicts_them(trials):
     view = JointView([trial for trial in trials if trial.stage.name == "rl_thigh"])
     assert 0.1 < np.isfinite(view.measured).mean() < 0.5
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 3e-3
+    assert rms(view) < 3e-3
 
 
 def test_the_friction_of_one_calf_is_named(trials):

@@ -13,7 +13,7 @@ from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
-from softarm.diagnosis.rigs.stage import view_of
+from tests.diagnosis.rigs.recordings import described_model, noisy, rms, simulate, view_of_joint
 from tests.diagnosis.verdicts import with_parameters
 
 JOINTS, BELLOWS = ("near", "far"), ("left", "right")
@@ -34,47 +34,22 @@ def segment(left=BELLOW, right=BELLOW):
 
 def recorded(folder, gains=(1.0, 1.0), trials=1, seconds=6.0, model=None):
     """Record a segment whose bellows have other gains, and describe it."""
-    (folder / "segment.xml").write_text(model or segment())
-    robot = mujoco.MjModel.from_xml_path(str(folder / "segment.xml"))
+    robot = mujoco.MjModel.from_xml_string(model or segment())
     robot.actuator_gainprm[:, 0] *= gains
+    hertz, t = np.array([0.2, 0.5, 1.1, 2.0]), np.arange(int(100 * seconds)) / 100
     for number in range(trials):
-        data, random, rows = mujoco.MjData(robot), np.random.default_rng(number), []
-        turns, hertz = random.uniform(0, 6, (2, 4)), np.array([0.2, 0.5, 1.1, 2.0])
-        for k in range(int(100 * seconds)):
-            data.ctrl[:] = np.clip(12 + 4 * np.sin(2 * np.pi * hertz * 0.01 * k + turns).sum(axis=1), 0, 30)
-            rows.append((0.01 * k, *data.ctrl, *(data.qpos + 1e-4 * random.normal(size=2))))
-            mujoco.mj_step(robot, data, nstep=10)
-        header = ",".join(("t", *BELLOWS, *JOINTS))
-        np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header=header, comments="")
-    time = {"source": "t", "unit": "s"}
-    columns = {"measured": (JOINTS, "rad"), "command": (BELLOWS, "1")}
-    channels = {
-        channel: {"time": time, "columns": {name: {"source": name, "unit": unit} for name in names}}
-        for channel, (names, unit) in columns.items()
-    }
-    stage = {
-        "kind": "mujoco",
-        "channels": channels,
-        "model": {"mjcf": "segment.xml"},
-        "trials": [{"files": "run-*.csv"}],
-    }
-    (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
-    return folder / "stage.yaml"
-
-
-def view(file, joint="far"):
-    return view_of([trial for trial in tables.read(file) if trial.stage.name == joint])[0]
-
-
-def rms(gap):
-    return float(np.sqrt(np.nanmean(gap**2)))
+        random = np.random.default_rng(number)
+        waves = np.sin(2 * np.pi * hertz * t[:, None, None] + random.uniform(0, 6, (2, 4)))
+        commands = np.clip(12 + 4 * waves.sum(axis=2), 0, 30)
+        simulate(robot, folder / f"run-{number}.csv", commands, read=noisy(random, 1e-4))
+    return described_model(folder, model or segment(), "1")
 
 
 def test_a_joint_feels_the_sum_of_its_motors_each_within_its_ranges(tmp_path):
     left = '<motor name="{0}" tendon="{0}" gear="-1.5" ctrllimited="true" ctrlrange="-1 2"/>'
     right = '<general name="{0}" tendon="{0}" gainprm="3" biastype="affine" biasprm="0.5 0 0" forcerange="-1 4"/>'
-    (tmp_path / "segment.xml").write_text(segment(left, right))
-    robot = Mechanism(tmp_path / "segment.xml")
+    (tmp_path / "robot.xml").write_text(segment(left, right))
+    robot = Mechanism(tmp_path / "robot.xml")
     data, random = mujoco.MjData(robot.model), np.random.default_rng(0)
     for _ in range(50):
         data.ctrl[:] = 3 * random.normal(size=2)
@@ -88,15 +63,15 @@ def test_a_joint_feels_the_sum_of_its_motors_each_within_its_ranges(tmp_path):
 
 @pytest.mark.parametrize("joint", JOINTS)
 def test_a_healthy_segment_has_no_gap_to_its_model(tmp_path, joint):
-    healthy = view(recorded(tmp_path), joint)
-    assert rms(healthy.gap([{}])) < 5e-4
+    healthy = view_of_joint(recorded(tmp_path), joint)
+    assert rms(healthy) < 5e-4
     assert np.nanstd(healthy.measured) > 0.05
 
 
 def test_each_motor_has_a_gain_of_its_own_which_belongs_to_all_joints_that_it_moves(tmp_path):
-    weak = view(recorded(tmp_path, gains=(0.7, 1.0)))
-    gaps = {name: rms(weak.gap([{f"far.gain_{name}.scale": -0.3}])) for name in BELLOWS}
-    assert gaps["left"] < 0.05 * rms(weak.gap([{}])) < 0.05 * gaps["right"]
+    weak = view_of_joint(recorded(tmp_path, gains=(0.7, 1.0)), "far")
+    gaps = {name: rms(weak, {f"far.gain_{name}.scale": -0.3}) for name in BELLOWS}
+    assert gaps["left"] < 0.05 * rms(weak) < 0.05 * gaps["right"]
     common = weak.gap([{"actuator left.gain_left.scale": -0.3}])
     assert np.array_equal(common, weak.gap([{"far.gain_left.scale": -0.3}]), equal_nan=True)
     parts = {effect: weak.part(effect) for effect in ("gain_left", "gain_right", "lag", "dead_time")}
@@ -120,8 +95,8 @@ def test_each_motor_has_a_gain_of_its_own_which_belongs_to_all_joints_that_it_mo
     ids=["position loop", "damper", "another lag", "limit behind the lag", "no lag"],
 )
 def test_other_pairs_are_refused(tmp_path, right):
-    (tmp_path / "segment.xml").write_text(segment(right=right))
-    problem = Mechanism(tmp_path / "segment.xml").joint("far").problem
+    (tmp_path / "robot.xml").write_text(segment(right=right))
+    problem = Mechanism(tmp_path / "robot.xml").joint("far").problem
     assert "far" in problem
     assert "left, right" in problem
     assert "give its torque under `torque`" in problem
@@ -133,16 +108,21 @@ def test_the_command_of_each_motor_is_needed(tmp_path):
     del stage["channels"]["command"]["columns"]["right"]
     file.write_text(yaml.safe_dump(stage))
     with pytest.raises(TrialError, match="far is moved by the actuator right, whose command is missing"):
-        view(file)
+        view_of_joint(file, "far")
+
+
+def proposed(folder):
+    """Return the channels of the stage.yaml that `softarm new rig` proposes for a recorded segment."""
+    out = folder / "new.yaml"
+    data = [str(folder / name) for name in ("robot.xml", "run-0.csv")]
+    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    return yaml.safe_load(out.read_text())["channels"]
 
 
 def test_a_description_has_the_commands_of_both(tmp_path):
     recorded(tmp_path)
-    out = tmp_path / "new.yaml"
-    data = [str(tmp_path / name) for name in ("segment.xml", "run-0.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    channels = yaml.safe_load(out.read_text())["channels"]
+    channels = proposed(tmp_path)
     assert {name: use["unit"] for name, use in channels["command"]["columns"].items()} == dict.fromkeys(BELLOWS, "-")
     assert channels["measured"]["columns"].keys() == {*JOINTS}
 
@@ -155,21 +135,17 @@ def test_the_command_of_one_is_no_reading_of_its_joint(tmp_path):
         text = text.replace(f'name="{old}"', f'name="{new}"').replace(f'tendon="{old}"', f'tendon="{new}"')
     recorded(tmp_path, model=text)
     run = tmp_path / "run-0.csv"
-    run.write_text(run.read_text().replace("t,left,right,near,far", "t,far_l,far_r,near_position,far_position"))
-    out = tmp_path / "new.yaml"
-    data = [str(tmp_path / name) for name in ("segment.xml", "run-0.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    channels = yaml.safe_load(out.read_text())["channels"]
+    run.write_text(run.read_text().replace(",near,far\n", ",near_position,far_position\n"))
+    channels = proposed(tmp_path)
     sources = {name: use["source"] for name, use in channels["measured"]["columns"].items()}
     assert sources == {"near": "near_position", "far": "far_position"}
     assert channels["command"]["columns"].keys() == {*names.values()}
 
 
 def test_the_patch_holds_the_gain_of_one_and_the_lag_of_both(tmp_path):
-    (tmp_path / "segment.xml").write_text(segment())
+    (tmp_path / "robot.xml").write_text(segment())
     found = with_parameters([("far.gain_left.scale", -0.25, "-"), ("far.lag.time", 80.0, "ms")])
-    made = patch.patched(tmp_path / "segment.xml", found, calibration=False)
+    made = patch.patched(tmp_path / "robot.xml", found, calibration=False)
     model = mujoco.MjModel.from_xml_string(made.text)
     assert model.actuator_gainprm[:, 0].tolist() == [0.75, 1.0]
     assert model.actuator_dynprm[:, 0].tolist() == [0.08, 0.08]
@@ -177,7 +153,7 @@ def test_the_patch_holds_the_gain_of_one_and_the_lag_of_both(tmp_path):
 
 
 def test_at_run_time_each_receives_its_own_command_and_a_common_delay_is_refused(tmp_path):
-    model, file = tmp_path / "segment.xml", tmp_path / "verdict.json"
+    model, file = tmp_path / "robot.xml", tmp_path / "verdict.json"
     model.write_text(segment())
     file.write_text(with_parameters([("far.deadband.width", 0.1, "rad")]).model_dump_json())
     robot = mujoco.MjModel.from_xml_path(str(model))
@@ -197,6 +173,6 @@ def test_a_weak_bellow_is_named_with_one_size_and_patched(tmp_path):
         size = effect.parameters["scale"]
         assert size.low <= -0.25 <= size.high
         assert effect.shared_by == ("far", "near")
-    found = patch.patched(tmp_path / "segment.xml", verdict, calibration=False)
+    found = patch.patched(tmp_path / "robot.xml", verdict, calibration=False)
     model = mujoco.MjModel.from_xml_string(found.text)
     assert model.actuator_gainprm[:, 0] == pytest.approx([1.0, 0.75], rel=0.05)

@@ -3,7 +3,6 @@
 import mujoco
 import numpy as np
 import pytest
-import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
@@ -13,6 +12,7 @@ from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
 from softarm.diagnosis.rigs.stage import view_of
+from tests.diagnosis.rigs.recordings import described, rms, view_of_joint
 from tests.diagnosis.verdicts import with_parameters
 
 RATIOS = {"knuckle": 0.5, "middle": 0.4}
@@ -54,22 +54,7 @@ def recorded(
             mujoco.mj_step(robot, data, nstep=10)
         header = ",".join(("t", "flexor", *RATIOS))
         np.savetxt(folder / f"run-{number}.csv", rows, "%.6f", ",", header=header, comments="")
-    time = {"source": "t", "unit": "s"}
-    stage = {
-        "kind": "mujoco",
-        "channels": {
-            "measured": {"time": time, "columns": {name: {"source": name, "unit": "rad"} for name in columns}},
-            "command": {"time": time, "columns": {"flexor": {"source": "flexor", "unit": "1"}}},
-        },
-        "model": {"mjcf": "finger.xml"},
-        "trials": [{"files": "run-*.csv"}],
-    }
-    (folder / "stage.yaml").write_text(yaml.safe_dump(stage))
-    return folder / "stage.yaml"
-
-
-def of_joint(trials, name):
-    return [trial for trial in trials if trial.stage.name == name]
+    return described(folder, "finger.xml", measured=dict.fromkeys(columns, "rad"), command={"flexor": "1"})
 
 
 @pytest.mark.parametrize("ratio", [1, -2])
@@ -94,23 +79,22 @@ def test_each_joint_feels_the_actuator_as_mujoco_moves_it(tmp_path, ratio):
 @pytest.mark.parametrize("actuator", [LOOP, '<motor name="flexor" tendon="flexor"/>'])
 def test_a_healthy_finger_has_no_gap_to_its_model(tmp_path, actuator):
     """Half a step of MuJoCo remains: 0.5 ms at 3 rad/s."""
-    trials = tables.read(recorded(tmp_path, finger(actuator), trials=1))
+    stage = recorded(tmp_path, finger(actuator), trials=1)
     for name in RATIOS:
-        view, _ = view_of(of_joint(trials, name))
-        assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 3e-3
+        view = view_of_joint(stage, name)
+        assert rms(view) < 3e-3
         assert np.nanstd(view.measured) > 0.1
 
 
 def test_a_delay_of_the_command_leaves_the_motion_of_the_other_joint_in_time(tmp_path):
-    (trial,) = of_joint(tables.read(recorded(tmp_path, finger(), trials=1, late=3)), "middle")
-    view, _ = view_of([trial])
-    now, late = (np.sqrt(np.nanmean(view.gap([{"middle.dead_time.delay": delay_s}]) ** 2)) for delay_s in (0.0, 0.03))
+    view = view_of_joint(recorded(tmp_path, finger(), trials=1, late=3), "middle")
+    now, late = (rms(view, {"middle.dead_time.delay": delay_s}) for delay_s in (0.0, 0.03))
     assert now > 0.02
     assert late < 3e-3
 
 
 def test_its_gain_and_delay_belong_to_all_joints_that_it_moves(tmp_path):
-    view, _ = view_of(of_joint(tables.read(recorded(tmp_path, finger(), trials=1)), "middle"))
+    view = view_of_joint(recorded(tmp_path, finger(), trials=1), "middle")
     assert {view.part(effect) for effect in ("gain", "position_gain", "lag", "dead_time")} == {"actuator flexor"}
     common, own = (view.gap([{f"{owner}.gain.scale": -0.2}]) for owner in ("actuator flexor", "middle"))
     assert np.array_equal(common, own, equal_nan=True)
@@ -140,8 +124,8 @@ def test_the_size_of_a_soft_loop_allows_for_the_tolerance_of_its_gain(tmp_path):
 
 
 def test_a_tolerance_of_an_actuator_is_one_for_all_its_joints(tmp_path):
-    trials = tables.read(recorded(tmp_path, finger(), trials=1))
-    views = [view_of(of_joint(trials, name))[0] for name in RATIOS]
+    stage = recorded(tmp_path, finger(), trials=1)
+    views = [view_of_joint(stage, name) for name in RATIOS]
     stages = [*RATIOS]
     loaded = {("gain", "actuator flexor"): stages, ("position_gain", "actuator flexor"): stages}
     judged = {f"{name}.{effect}" for effect, _ in loaded for name in stages}
@@ -211,10 +195,10 @@ def test_a_tendon_whose_ratios_change_is_refused(tmp_path):
 def test_samples_before_a_slow_actuator_has_forgotten_its_start_are_left_out(tmp_path):
     """The recording begins with a command that the actuator has not reached."""
     muscle = '<general name="flexor" tendon="flexor" dyntype="filterexact" dynprm="0.3" biastype="affine"/>'
-    view, _ = view_of(of_joint(tables.read(recorded(tmp_path, finger(muscle), trials=1)), "middle"))
+    view = view_of_joint(recorded(tmp_path, finger(muscle), trials=1), "middle")
     seen = np.isfinite(view.measured[:, 0])
     assert 0.8 < view.t_s[seen][0] < 1.5
-    assert np.sqrt(np.nanmean(view.gap([{}]) ** 2)) < 3e-3
+    assert rms(view) < 3e-3
 
 
 @pytest.mark.parametrize("lag", ["", ' dyntype="filterexact" dynprm="0.3"'])
@@ -222,5 +206,5 @@ def test_a_muscle_that_bends_springs_of_the_model_is_no_position_loop(tmp_path, 
     """The torque is nearly a multiple of the angle."""
     muscle = f'<general name="flexor" tendon="flexor"{lag}/>'
     stiff = finger(muscle).replace('stiffness="0.', 'stiffness="10.')
-    trials = tables.read(recorded(tmp_path, stiff, size=5.0, trials=1))
-    assert [view_of(of_joint(trials, name))[0].assumptions for name in RATIOS] == [(), ()]
+    stage = recorded(tmp_path, stiff, size=5.0, trials=1)
+    assert [view_of_joint(stage, name).assumptions for name in RATIOS] == [(), ()]
