@@ -67,34 +67,6 @@ def test_friction_holds_a_weight_unless_the_recordings_show_that_it_creeps(tmp_p
 
 ACTUATED = """<mujoco>{}<worldbody><body name="link"><joint name="elbow" axis="0 1 0"/>
 <geom size="0.1" pos="0.2 0 0" mass="2"/></body></worldbody><actuator>{}</actuator></mujoco>"""
-SLOWER = ("elbow.gain.scale", -0.5, "-"), ("elbow.lag.time", 0.1, "s")
-LOOP = *SLOWER, ("elbow.position_gain.scale", 0.2, "-")
-
-
-@pytest.mark.parametrize(
-    ("actuator", "changes", "gain", "bias", "gear"),
-    [
-        ('<position joint="elbow" kp="10" dampratio="1"/>', LOOP, 6, (0, -6, -0.5), 1),
-        ('<general joint="elbow" gainprm="10" biasprm="3 -10 -2" biastype="affine"/>', LOOP, 6, (1.8, -6, -1), 1),
-        ('<motor name="m" joint="elbow" gear="4"/>', SLOWER, 1, (0, 0, 0), 2),
-        ('<motor joint="elbow" gear="4"></motor>', SLOWER, 1, (0, 0, 0), 2),
-        ('<velocity joint="elbow" kv="3"/>', SLOWER[:1], 1.5, (0, 0, -1.5), 1),
-    ],
-)
-def test_a_gain_and_a_lag_are_written_for_each_kind_of_actuator(tmp_path, actuator, changes, gain, bias, gear):
-    file = tmp_path / "arm.xml"
-    file.write_text(ACTUATED.format("", actuator))
-    before = mujoco.MjModel.from_xml_path(str(file))
-    found = patch.patched(file, verdict(changes), calibration=True)
-    after = read(found, tmp_path)
-    if "dampratio" in actuator:
-        bias = (*bias[:2], 0.5 * before.actuator_biasprm[0, 2])
-    assert not found.left_out
-    assert (after.actuator_gainprm[0, 0], after.actuator_gear[0, 0]) == pytest.approx((gain, gear))
-    assert after.actuator_biasprm[0, :3] == pytest.approx(bias)
-    if len(changes) > 1:
-        assert after.actuator_dynprm[0, 0] == pytest.approx(0.1)
-        assert after.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 def test_an_equality_with_the_name_of_a_joint_is_no_joint(tmp_path):
@@ -103,14 +75,6 @@ def test_an_equality_with_the_name_of_a_joint_is_no_joint(tmp_path):
     found = patch.patched(file, verdict([("elbow.damping.viscous", 0.2, "N m s/rad")]), calibration=True)
     after = read(found, tmp_path)
     assert np.ravel(after.dof_damping)[0] == pytest.approx(0.2)
-
-
-def test_a_ceiling_holds_where_limits_are_not_automatic(tmp_path):
-    file = tmp_path / "arm.xml"
-    file.write_text(ACTUATED.format('<compiler autolimits="false"/>', '<motor name="m" joint="elbow"/>'))
-    after = read(patch.patched(file, verdict([("elbow.ceiling.limit", 2.0, "N m")]), calibration=True), tmp_path)
-    assert after.actuator_forcelimited[0]
-    assert after.actuator_forcerange[0].tolist() == [-2, 2]
 
 
 DEFAULTS = (
@@ -141,6 +105,8 @@ SIZES = {
     "armature.inertia": (0.0, 0.1, "kg m^2"),
     "spring.stiffness": (0.0, 2.0, "N m/rad"),
 }
+SLOWER = {"gain.scale": -0.5, "lag.time": 0.1}
+LOOP = {**SLOWER, "position_gain.scale": 0.2}
 ONE = st.sampled_from
 
 
@@ -155,6 +121,12 @@ ONE = st.sampled_from
 @example("", ACTUATORS[0], FURTHER[3], {"gain.scale": -0.5})  # its gear changed what its limit means at the joint
 @example(DEFAULTS[5], ACTUATORS[2], "", {"ceiling.limit": 8.0})  # ended at the lower limit of the joint
 @example("", ACTUATORS[3], "", {"armature.inertia": 0.1})  # MuJoCo computed another damper from the inertia
+@example("", ACTUATORS[3], "", LOOP)
+@example("", ACTUATORS[5], "", LOOP)
+@example("", '<motor joint="elbow" gear="4"></motor>', "", SLOWER)
+@example("", ACTUATORS[4], "", SLOWER)
+@example("", ACTUATORS[1], FURTHER[1], {"position_gain.scale": -0.5, "ceiling.limit": 5.0})
+@example('<compiler autolimits="false"/>', ACTUATORS[0], "", {"ceiling.limit": 2.0})
 def test_a_patched_model_has_the_parameters_that_were_found(defaults, actuator, further, sizes):
     with tempfile.TemporaryDirectory() as folder:
         file, patched = Path(folder) / "arm.xml", Path(folder) / "patched.xml"
@@ -167,7 +139,11 @@ def test_a_patched_model_has_the_parameters_that_were_found(defaults, actuator, 
         changes = [(f"elbow.{path}", size, SIZES[path][2]) for path, size in sizes.items()]
         found = patch.patched(file, verdict(changes), calibration=True)
         patched.write_text(found.text if changes else file.read_text())
-        after = Mechanism(patched).joint("elbow")
+        model = Mechanism(patched)
+    after = model.joint("elbow")
+    assert not (found and found.left_out)
+    if "lag.time" in sizes:
+        assert model.model.actuator_dyntype[0] == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
     old, new, limit = before.actuator, after.actuator, sizes.get("ceiling.limit")
     factor = 1 + sizes.get("gain.scale", 0.0)
     stiff = factor * (1 + sizes.get("position_gain.scale", 0.0))
@@ -232,16 +208,6 @@ def test_a_finding_that_the_file_cannot_express_is_left_out_with_its_remedy(tmp_
         f"payload of 0.2 kg at body1: {unnamed}, or --patch FILE.yaml writes it",
         f"the damper of elbow: its dampratio gives another one; write kv={-before.actuator_biasprm[0, 2]:.6g} instead",
     )
-
-
-def test_a_position_loop_behind_a_gear_has_its_numbers_before_the_gear(tmp_path):
-    file = tmp_path / "geared.xml"
-    servo = '<position name="elbow_servo" joint="elbow"'
-    file.write_text(ARM.read_text().replace(f"{servo}/>", f'{servo} gear="2"/>'))
-    changes = [("elbow.position_gain.scale", -0.5, "-"), ("elbow.ceiling.limit", 5.0, "N m")]
-    actuator = read(patch.patched(file, verdict(changes), calibration=True), tmp_path).actuator("elbow_servo")
-    assert actuator.gainprm[0] == pytest.approx(20)
-    assert actuator.forcerange.tolist() == [-2.5, 2.5]
 
 
 def test_a_joint_that_another_follows_has_the_friction_and_the_gains_of_both(tmp_path):
