@@ -239,17 +239,15 @@ def test_bounds_and_boxes_scale_with_units_of_length_and_time(quick, large):
                 assert getattr(r, of) == pytest.approx(getattr(p, of) * factor, rel=1e-6, abs=1e-12)
 
 
+def parameter(trials, name):
+    """Return a parameter of an effect of a rig."""
+    return next(p for e in TrackingView(trials).effects for p in e.parameters if p.name == name)
+
+
 def test_bounds_exclude_limits_that_the_recording_exceeds():
-    seen = flown({"rate": 2.0}, noise=0.01, kinds=TWO)
-    view = TrackingView(seen)
-    rate = next(p for e in view.effects for p in e.parameters if p.name == "rate")
-    assert 1.5 < rate.low < 2.0  # includes the true limit
-    free = TrackingView(flown({"lag": 0.03}, noise=0.01))
-    rate = next(p for e in free.effects for p in e.parameters if p.name == "rate")
-    assert rate.low > 8.0
-    ceiling = next(
-        p for e in TrackingView(flown({"limit": 0.5}, kinds=TWO)).effects for p in e.parameters if p.name == "limit"
-    )
+    assert 1.5 < parameter(flown({"rate": 2.0}, noise=0.01, kinds=TWO), "rate").low < 2.0  # includes the true limit
+    assert parameter(flown({"lag": 0.03}, noise=0.01), "rate").low > 8.0
+    ceiling = parameter(flown({"limit": 0.5}, kinds=TWO), "limit")
     assert 0.45 < ceiling.low < 0.5 < ceiling.high
     steps = commands()["steps"]
     reached = TrackingView([trial(steps, rig(steps, {"lag": 0.05}))])

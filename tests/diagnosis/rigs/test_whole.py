@@ -21,7 +21,7 @@ from softarm.diagnosis.rigs.stage import examine
 from softarm.diagnosis.rigs.subsample import together
 from softarm.diagnosis.rigs.whole import FEW, judged
 from softarm.schemas.verdict import Interval
-from tests.diagnosis.rigs.recordings import described, mechanism
+from tests.diagnosis.rigs.recordings import described_model, mechanism, noisy, simulate
 from validation.mechanisms.record import ROBOTS, JointLaw, Truth
 
 LOAD = 0.6  # share of the last body's mass
@@ -80,17 +80,11 @@ def shown(own, **names):
 
 def record_wrist(text, file, seed):
     """Follow sums of sines for two seconds at 100 Hz, with encoders of 0.05 mrad."""
-    model = mujoco.MjModel.from_xml_string(text)
+    model, random = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
     model.opt.timestep = 5e-4
-    data, random = mujoco.MjData(model), np.random.default_rng(seed)
     frequency_hz, phase = np.array([0.3, 0.7, 1.3]), random.uniform(0, 2 * np.pi, (2, 3))
-    rows = ["t,bend_servo,roll_servo,bend,roll"]
-    for t_s in np.arange(200) / 100:
-        data.ctrl[:] = 0.4 * np.sin(2 * np.pi * frequency_hz * t_s + phase).sum(axis=1)
-        values = t_s, *data.ctrl, *data.qpos + 5e-5 * random.normal(size=2)
-        rows.append(",".join(f"{value:.8g}" for value in values))
-        mujoco.mj_step(model, data, nstep=20)
-    file.write_text("\n".join(rows))
+    turns = 2 * np.pi * frequency_hz * np.arange(200)[:, None, None] / 100 + phase
+    simulate(model, file, 0.4 * np.sin(turns).sum(axis=2), read=noisy(random, 5e-5))
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +161,7 @@ def test_a_load_across_a_link_that_no_joint_alone_explains_is_found_by_all_toget
         return judged(own, alone)
 
     assert judged_beside(FEW + 1) == []
-    (found,) = judged_beside(1)
+    (found,) = judged_beside(FEW)
     assert sorted(found.held) == ["hinge", "rail"]
     mass = found.held["hinge"].named.parameters["mass"]
     assert 0 < mass.low < item < mass.high
@@ -175,12 +169,9 @@ def test_a_load_across_a_link_that_no_joint_alone_explains_is_found_by_all_toget
 
 def test_a_payload_beside_the_axis_of_the_last_joint_loads_it_as_well(tmp_path):
     """Along that axis it does not, so the joint alone takes it for an error of its servo."""
-    (tmp_path / "robot.xml").write_text(WRIST.format(""))
     for seed in range(2):
         record_wrist(WRIST.format(ITEM), tmp_path / f"sines-{seed}.csv", seed)
-    commands = dict.fromkeys(("bend_servo", "roll_servo"), "rad")
-    measured = dict.fromkeys(("bend", "roll"), "rad")
-    stage = described(tmp_path, "robot.xml", measured=measured, command=commands)
+    stage = described_model(tmp_path, WRIST.format(""))
     own = read_by_joint(stage)
     (found,) = judged(own, shown(own, bend=("payload",), roll=("command_bias",)))
     assert [held.named.name for held in found.held.values()] == ["bend.payload", "roll.payload"]
@@ -238,25 +229,18 @@ def test_a_heavier_last_body_is_no_payload(tmp_path):
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("fitted", [FEW, FEW + 1])
-def test_a_joint_without_a_cause_may_have_a_heavier_body_if_few_effects_were_found(tmp_path, fitted):
-    own = by_joint(tmp_path, "leg", Truth({}, masses={"shank": 2.2}))
-    found = shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))
-    found["knee"].is_unexplained, found["knee"].named = True, ()
-    found["knee"].fitted = tuple(f"knee.{number}" for number in range(fitted))
-    assert len(judged(own, found)) == (1 if fitted == FEW else 0)
-
-
-@pytest.mark.prove
-def test_a_mass_that_one_joint_alone_shows_is_no_body(tmp_path):
-    own = by_joint(tmp_path, "leg", Truth({}), seconds=2.0)
-    assert judged(own, shown(own, hip=("mass",), knee=("damping",), ankle=("damping",))) == []
-
-
-@pytest.mark.prove
-def test_an_item_on_the_palm_does_not_load_the_fingers(tmp_path):
-    own = by_joint(tmp_path, "gripper", Truth({}), seconds=2.0, item=("palm", [0.0, 0.0, -0.1], 0.2))
-    assert judged(own, shown(own, wrist=("payload",), left=("damping",))) == []
+@pytest.mark.parametrize(
+    ("robot", "item", "names"),
+    [
+        ("leg", None, {"hip": ("mass",), "knee": ("damping",), "ankle": ("damping",)}),
+        ("gripper", ("palm", [0.0, 0.0, -0.1], 0.2), {"wrist": ("payload",), "left": ("damping",)}),
+    ],
+    ids=["mass of one joint", "item on the palm"],
+)
+def test_a_load_that_one_joint_alone_shows_is_no_common_effect(tmp_path, robot, item, names):
+    """An item on the palm does not load the fingers."""
+    own = by_joint(tmp_path, robot, Truth({}), seconds=2.0, item=item)
+    assert judged(own, shown(own, **names)) == []
 
 
 @pytest.mark.prove

@@ -15,6 +15,10 @@ STEPS = 500
 COMMAND = 0.6 * np.sign(np.sin(2 * np.pi * 1.3 * H * np.arange(STEPS)))
 
 
+PLAIN = SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10)
+DRY = SERVO.format(damping=0.05, dry=0.02, kp=20, limit=10)
+
+
 def written(folder, model_text, *effects):
     """Write a model and a verdict, and return their paths."""
     model, file = folder / "servo.xml", folder / "verdict.json"
@@ -61,12 +65,10 @@ def flown(effects, path):
     ],
 )
 def test_mujoco_moves_as_the_fitted_law(tmp_path, name, sizes, same):
-    file, model = written(
-        tmp_path, SERVO.format(damping=0.05, dry=0.02, kp=20, limit=10), exact(f"elbow.{name}", **sizes)
-    )
+    file, model = written(tmp_path, DRY, exact(f"elbow.{name}", **sizes))
     true, speed, seen = flown(RuntimeEffects.read(file, model), model)
-    joint = Mechanism(model).joint("elbow")
     robot = Mechanism(model)
+    joint = robot.joint("elbow")
     known = of_mujoco(robot, joint)
     path = robot.terms(joint, robot.course(joint, {"elbow": (true, speed, np.zeros(STEPS))}))
     drive = joint.actuator.scale * COMMAND
@@ -92,17 +94,16 @@ def test_the_damping_of_a_loop_without_a_derivative_part_brakes_before_the_gear(
 
 
 def test_commands_and_readings_are_late_by_the_delays(tmp_path):
-    text = SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10)
-    _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, text)), tmp_path / "servo.xml")
+    _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, PLAIN)), tmp_path / "servo.xml")
     late = exact("elbow.dead_time", "ms", delay=40.0), exact("elbow.latency", "ms", delay=12.5)
-    _, _, seen = flown(RuntimeEffects.read(*written(tmp_path, text, *late)), tmp_path / "servo.xml")
+    _, _, seen = flown(RuntimeEffects.read(*written(tmp_path, PLAIN, *late)), tmp_path / "servo.xml")
     at = np.arange(STEPS)
     assert seen[60:] == pytest.approx(np.interp(at - 52.5, at, plain)[60:], abs=1e-9)
 
 
 def test_a_command_changes_no_faster_than_its_limit(tmp_path):
     slow = exact("elbow.rate_limit", "rad/s", rate=0.5)
-    effects = RuntimeEffects.read(*written(tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), slow))
+    effects = RuntimeEffects.read(*written(tmp_path, PLAIN, slow))
     state, sent = effects.start(np.zeros(1), np.zeros(1)), []
     for _ in range(100):
         state, applied = effects.apply(state, np.ones(1), Motion(*(np.zeros(1),) * 4))
@@ -112,7 +113,7 @@ def test_a_command_changes_no_faster_than_its_limit(tmp_path):
 
 def test_a_batch_of_robots_is_drawn_within_the_intervals(tmp_path):
     found = effect("elbow.deadband", width=(0.05, 0.04, 0.06, "rad")), effect("elbow.latency", delay=(9, 6, 12, "ms"))
-    effects = RuntimeEffects.read(*written(tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), *found))
+    effects = RuntimeEffects.read(*written(tmp_path, PLAIN, *found))
     many = effects.drawn(np.random.default_rng(3), 500)
     width = many.parameters.deadband
     assert width.shape == (500, 1)
@@ -128,7 +129,7 @@ def test_a_batch_of_robots_is_drawn_within_the_intervals(tmp_path):
 
 
 def test_calibration_and_best_fit_are_read_as_the_patch_has_them(tmp_path):
-    file, model = written(tmp_path, SERVO.format(damping=0.05, dry=0.02, kp=20, limit=10))
+    file, model = written(tmp_path, DRY)
     found = with_parameters(
         [("elbow.deadband.width", 0.08, "rad")],
         [("elbow.dead_time.delay", 3.0, "ms")],
@@ -147,9 +148,7 @@ def test_calibration_and_best_fit_are_read_as_the_patch_has_them(tmp_path):
 
 
 def test_a_verdict_of_another_robot_is_refused(tmp_path):
-    file, _ = written(
-        tmp_path, SERVO.format(damping=0.05, dry=0.0, kp=20, limit=10), exact("elbow.deadband", width=0.1)
-    )
+    file, _ = written(tmp_path, PLAIN, exact("elbow.deadband", width=0.1))
     with pytest.raises(TrialError, match="no hinge or slide joint elbow"):
         RuntimeEffects.read(file, ROBOTS["camera"].model)
 
