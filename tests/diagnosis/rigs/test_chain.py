@@ -1,11 +1,11 @@
-"""Free and driven chains: their law against another formulation and closed forms, and diagnoses of known causes."""
+"""Free and driven chains: their law against MuJoCo and closed forms, and diagnoses of known causes."""
 
 from dataclasses import replace
 from functools import partial
 
+import mujoco
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from softarm.diagnosis.data.trials import Series, TableStage
 from softarm.diagnosis.rigs.chain.model import chain_of
@@ -16,6 +16,7 @@ from tests.diagnosis.rigs.recordings import named, recording, shipped
 GRAVITY = 9.81
 # tanh(STEEP x rate) replaces the sign of a rate, s/rad.
 STEEP = 200.0
+FINE_S = 2.5e-4
 
 ONE = {"mass_kg": 0.6, "centre_m": 0.12, "length_m": 0.2, "inertia_kg_m2": 2e-3, "damping_nm_s_rad": 0.01}
 TWO = {
@@ -29,69 +30,61 @@ TWO = {
 
 
 class Made:
-    """Independent simulation of a chain with effects beyond its model.
+    """Independent simulation of a chain by MuJoCo with effects beyond its model.
 
     Effects: dry, viscous, offset, late (of the torque, s), gain, payload, weight and inertia (shares), drag, cubic,
-    tilt. It uses joint angles, d'Alembert's principle with Jacobians of the centres of mass, and scipy. Dry friction is
-    a steep function of the rate instead of a sheared bristle.
+    tilt, spring (N m/rad) and its rest. Dry friction is a steep function of the rate instead of a sheared bristle.
     """
 
     def __init__(self, model, **beyond):
-        def get(name, default=0.0):
-            return np.ravel(np.broadcast_to(model.get(name, default), n)).astype(float)
-
         n = self.n = len(np.ravel(model["mass_kg"]))
-        self.mass, self.centre, self.inertia = get("mass_kg"), get("centre_m"), get("inertia_kg_m2")
-        length = np.ravel(model.get("length_m", 0.0))
-        self.length = np.concatenate((length, np.zeros(n - len(length))))
-        self.armature = get("armature_kg_m2")
-        self.viscous = get("damping_nm_s_rad") + np.broadcast_to(beyond.get("viscous", 0.0), n)
-        self.dry = get("coulomb_nm") + np.broadcast_to(beyond.get("dry", 0.0), n)
-        self.beyond = beyond
-        self.below = np.tril(np.ones((n, n)))  # d phi_j / d theta_k
-        bodies = [(i, self.mass[i], self.centre[i], True) for i in range(n)]
-        if beyond.get("payload"):
-            bodies.append((n - 1, beyond["payload"], self.length[-1], False))
-        before, own = np.arange(n)[:, None] > np.arange(n), np.eye(n)
-        self.bodies = [(i, mass, before[i] * self.length + own[i] * arm, link) for i, mass, arm, link in bodies]
-
-    def rates(self, t, state, torque, push):
-        """Return the derivatives of joint angles and rates."""
-        n, b = self.n, self.beyond
-        turn, speed = state[:n], state[n:]
-        phi, omega = np.cumsum(turn), np.cumsum(speed)
-        matrix, load = np.diag(self.armature).astype(float), np.zeros(n)
-        down = GRAVITY * (1 + b.get("weight", 0.0))
-        tilt = b.get("tilt", 0.0)
-        pull = down * np.array((np.sin(tilt), -np.cos(tilt)))
-        turned, below = np.array((np.cos(phi), np.sin(phi))), self.below
-        squares, sideways = omega**2, push(t)
-        for i, mass, reach, link in self.bodies:
-            way = reach * turned  # of y to the side, z upwards
-            jacobian, (towards, up) = way @ below, way @ squares
-            swirl = np.array((-up, towards))
-            matrix += mass * jacobian.T @ jacobian
-            force = mass * (pull * (1 + b.get("cubic", 0.0) * phi[i] ** 2) - swirl - np.array((sideways, 0.0)))
-            if link:
-                own = self.inertia[i] + b.get("inertia", 0.0) * (self.inertia[i] + mass * self.centre[i] ** 2)
-                matrix += own * np.outer(below[i], below[i])
-                velocity = jacobian @ speed
-                force = force - b.get("drag", 0.0) * np.linalg.norm(velocity) * velocity
-            load += jacobian.T @ force
-        load += torque(t) * (1 + np.asarray(b.get("gain", 0.0))) + b.get("offset", 0.0)
-        load -= self.viscous * speed + self.dry * np.tanh(STEEP * speed)
-        return np.concatenate((speed, np.linalg.solve(matrix, load)))
+        self.late, self.drag, self.cubic = (beyond.get(name, 0.0) for name in ("late", "drag", "cubic"))
+        self.gain, self.offset, self.dry = (beyond.get(name, 0.0) for name in ("gain", "offset", "dry"))
+        keys = "mass_kg", "centre_m", "inertia_kg_m2", "armature_kg_m2", "damping_nm_s_rad"
+        mass, centre, own, armature, damping = (np.broadcast_to(model.get(key, 0.0), n) for key in keys)
+        inertia = own + beyond.get("inertia", 0.0) * (own + mass * centre**2)
+        damping = damping + beyond.get("viscous", 0.0)
+        spring, rest = (beyond.get(name, 0.0) for name in ("spring", "rest"))
+        length, load = np.append(0.0, model["length_m"]), beyond.get("payload", 0.0)
+        end = f'<body pos="0 0 {-length[n]}"><inertial pos="0 0 0" mass="{load}" diaginertia="1e-9 1e-9 1e-9"/></body>'
+        chain = end if load else ""
+        for i in reversed(range(n)):
+            joint = f'damping="{damping[i]}" armature="{armature[i]}" stiffness="{spring}" springref="{rest}"'
+            chain = f"""<body pos="0 0 {-length[i]}"><joint axis="0 -1 0" {joint}/>
+              <inertial pos="0 0 {-centre[i]}" mass="{mass[i]}" diaginertia="1 {inertia[i]} 1"/>{chain}</body>"""
+        compiler = '<compiler angle="radian" balanceinertia="false"/>'
+        option = f'<option timestep="{FINE_S}" integrator="RK4"/>'
+        self.model = mujoco.MjModel.from_xml_string(
+            f"<mujoco>{compiler}{option}<worldbody>{chain}</worldbody></mujoco>"
+        )
+        tilt, down = beyond.get("tilt", 0.0), GRAVITY * (1 + beyond.get("weight", 0.0))
+        self.model.opt.gravity[:] = down * np.sin(tilt), 0.0, -down * np.cos(tilt)
 
     def swing(self, start, t, torque=None, push=lambda t: 0.0):
-        """Return absolute angles and rates [T, n] from joint angles at rest; torque: t -> requested torques [n]."""
-        late = self.beyond.get("late", 0.0)
-        given = (lambda t: np.zeros(self.n)) if torque is None else (lambda t: torque(t - late))
-        state = np.concatenate((np.broadcast_to(start, self.n), np.zeros(self.n)))
-        found = solve_ivp(
-            self.rates, (t[0], t[-1]), state, "LSODA", t, args=(given, push), rtol=1e-6, atol=1e-8, max_step=0.05
-        )
-        assert found.success
-        return np.cumsum(found.y[: self.n], axis=0).T, np.cumsum(found.y[self.n :], axis=0).T
+        """Return absolute angles [T, n] from joint angles at rest; torque: t -> requested torques [n]."""
+        data, found = mujoco.MjData(self.model), []
+        data.qpos[:], sideways = start, float(self.model.opt.gravity[0])
+        each = round((t[1] - t[0]) / FINE_S)
+        for k in range(each * len(t)):
+            if k % each == 0:
+                found.append(np.cumsum(data.qpos))
+            middle = (k + 0.5) * FINE_S
+            asked = 0.0 if torque is None else torque(middle - self.late) * (1 + self.gain) + self.offset
+            data.qfrc_applied[:] = asked - self.dry * np.tanh(STEEP * data.qvel)
+            self.model.opt.gravity[0] = sideways - push(middle)
+            if self.drag or self.cubic:
+                self._load(data)
+            mujoco.mj_step(self.model, data)
+        self.model.opt.gravity[0] = sideways
+        return np.array(found)
+
+    def _load(self, data):
+        """Apply the drag of each link and the weight that grows with its angle."""
+        velocity = np.zeros(6)
+        for i, angle in enumerate(np.cumsum(data.qpos), 1):
+            mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_BODY, i, velocity, 0)
+            drag = -self.drag * np.linalg.norm(velocity[3:]) * velocity[3:]
+            data.xfrc_applied[i, :3] = drag + self.model.body_mass[i] * self.cubic * angle**2 * self.model.opt.gravity
 
 
 def tones(seed, n, size, fastest=2.0):
@@ -102,7 +95,7 @@ def tones(seed, n, size, fastest=2.0):
     return lambda t: np.ravel(size) * np.sum(part * np.sin(2 * np.pi * hertz * t + phase), axis=1) / 2
 
 
-def trial(name, t, angles, model, torques=None, base=None, *, noise=0.0, step=0.0, seed=0):
+def trial(name, t, angles, model, torques=None, base=None, *, kind="tones", noise=0.0, step=0.0, seed=0):
     """Return a recording with noise and step of an encoder; torques: requested, [T, n]; base: position, m [T]."""
     seen = angles + noise * np.random.default_rng(seed).normal(size=angles.shape)
     seen = np.round(seen / step) * step if step else seen
@@ -111,18 +104,22 @@ def trial(name, t, angles, model, torques=None, base=None, *, noise=0.0, step=0.
         channels["torque"] = {f"torque{i + 1}": x for i, x in enumerate(torques.T)}
     if base is not None:
         channels["base"] = {"position": base}
-    return recording(name, "tones", t, channels, ("arm", "chain", model))
+    return recording(name, kind, t, channels, ("arm", "chain", model))
+
+
+def driven(name, made, t, torque, model, start=0.2, **seen):
+    """Return a recording of a chain whose motors receive a function of time; seen: options of `trial`."""
+    angles = made.swing(start, t, torque)
+    return trial(name, t, angles, model, np.array([torque(x) for x in t]), **seen)
 
 
 def campaign(model, beyond=None, *, trials=4, seconds=6.0, size=0.15, noise=2e-4, nominal=None):
     """Return driven recordings of one chain with different sines."""
-    made, found = Made(model, **(beyond or {})), []
+    made, t, found = Made(model, **(beyond or {})), np.arange(0, seconds, 1 / 200), []
     for k in range(trials):
-        t = np.arange(0, seconds, 1 / 200)
         torque = tones(k, made.n, size * (0.6 + 0.3 * k))
-        angles, _ = made.swing(0.1 * k, t, torque)
-        asked = np.stack([torque(x) for x in t])
-        found.append(trial(f"run {k}", t, angles, nominal or model, asked, noise=noise, step=2e-4, seed=k))
+        how = {"start": 0.1 * k, "noise": noise, "step": 2e-4, "seed": k}
+        found.append(driven(f"run {k}", made, t, torque, nominal or model, **how))
     return found
 
 
@@ -191,7 +188,7 @@ def test_a_moving_base_drives_the_chain():
     def push(t):
         return -way * wave**2 * np.sin(wave * t)
 
-    angles, _ = Made(TWO).swing(0.1, t, push=push)
+    angles = Made(TWO).swing(0.1, t, push=push)
     carried = view([trial("carried", t, angles, TWO, base=way * np.sin(wave * t))])
     stands = view([trial("stands", t, angles, TWO, base=0 * t)])
     assert rms(carried, [{}])[0] < 1e-3
@@ -200,7 +197,7 @@ def test_a_moving_base_drives_the_chain():
 
 def test_relative_encoders_are_compared_with_relative_angles():
     t = np.arange(0, 4, 0.005)
-    angles, _ = Made(TWO).swing(0.3, t)
+    angles = Made(TWO).swing(0.3, t)
     off = angles + 0.02 * np.array((1.0, 1.0))  # the first encoder's zero moves both absolute angles
     seen = trial("swing", t, off, TWO)
     relative = TableStage("arm", "chain", TWO, {}, True)
@@ -211,7 +208,7 @@ def test_relative_encoders_are_compared_with_relative_angles():
 
 def test_windows_last_some_periods_and_include_the_torque_around_them():
     t = np.arange(0, 12, 0.005)
-    angles, _ = Made(ONE).swing(0.3, t)
+    angles = Made(ONE).swing(0.3, t)
     free, driven = trial("free", t, angles, ONE), trial("driven", t, angles, ONE, np.zeros((len(t), 1)))
     period = chain_of(TableStage("arm", "chain", ONE)).periods_s[0]
     assert len(ChainView.windows(free)) == round(12 / (4 * period))
@@ -225,15 +222,20 @@ def test_windows_last_some_periods_and_include_the_torque_around_them():
     assert len(ChainView.windows(drift)) == 1
 
 
+def widest(recorded):
+    """Return the largest angle of a recording, rad."""
+    return max(np.abs(angle).max() for angle in recorded.channels["measured"].columns.values())
+
+
 @pytest.mark.prove
 def test_windows_with_a_link_over_the_top_are_left_out_with_a_warning():
     t, made = np.arange(0, 6, 0.005), Made(TWO)
     calm, strong = tones(3, 2, (0.3, 0.1)), tones(4, 2, (3.0, 0.6))
     parts = []
     for name, torque in (("calm", calm), ("more", calm), ("strong", strong)):
-        angles, _ = made.swing(0.2, t, torque)
-        assert (np.abs(angles).max() > np.pi) == (name == "strong")
-        parts += ChainView.windows(trial(name, t, angles, TWO, np.array([torque(s) for s in t]), noise=2e-4))
+        recorded = driven(name, made, t, torque, TWO, noise=2e-4)
+        assert (widest(recorded) > np.pi) == (name == "strong")
+        parts += ChainView.windows(recorded)
     found = ChainView(parts)
     out = [s.name for k, s in enumerate(parts) if not np.isfinite(found.measured[found.trial == k]).any()]
     assert out
@@ -243,13 +245,11 @@ def test_windows_with_a_link_over_the_top_are_left_out_with_a_warning():
 
 def over_the_top(beyond, trials=4, seconds=6.0):
     """Return recordings of a strongly driven arm whose links turn over and over."""
-    made, found, t = Made(TWO, **beyond), [], np.arange(0, seconds, 0.005)
-    for k in range(trials):
-        torque = tones(10 + k, 2, (3.0, 0.6))
-        angles, _ = made.swing(0.2, t, torque)
-        assert np.abs(angles).max() > 4 * np.pi
-        asked = np.array([torque(s) for s in t])
-        found.append(trial(f"strong {k}", t, angles, TWO, asked, noise=2e-4, seed=k))
+    made, t = Made(TWO, **beyond), np.arange(0, seconds, 0.005)
+    found = [
+        driven(f"strong {k}", made, t, tones(10 + k, 2, (3.0, 0.6)), TWO, noise=2e-4, seed=k) for k in range(trials)
+    ]
+    assert min(map(widest, found)) > 4 * np.pi
     return found
 
 
@@ -270,7 +270,7 @@ def test_a_missing_row_at_a_torque_jump_excludes_the_window():
     """The torque between the neighbouring rows is unknown; interpolation would halve the jump."""
     t, jump = np.arange(0, 6, 0.005), 600
     torque = np.where(np.arange(len(t)) < jump, 0.0, 0.5)[:, None] * (1.0, 0.2)
-    angles, _ = Made(TWO).swing(0.1, t, lambda now: torque[min(int((now + 1e-9) / 0.005), len(t) - 1)])
+    angles = Made(TWO).swing(0.1, t, lambda now: torque[min(int((now + 1e-9) / 0.005), len(t) - 1)])
     whole = trial("jump", t, angles, TWO, torque, noise=2e-4)
     for late_rows in (0, 40):  # at the jump, and while the torque is constant
         keep = np.delete(np.arange(len(t)), jump + late_rows - 1)
@@ -290,8 +290,7 @@ def test_small_errors_of_each_links_mass_are_nuisances():
     t = np.arange(0, 3, 0.005)
     torque = tones(5, 2, (0.5, 0.15))
     other = {**TWO, "mass_kg": (0.603, 0.398), "inertia_kg_m2": (2.04e-3, 1.47e-3)}
-    angles, _ = Made(other).swing(0.2, t, torque)
-    found = view([trial("tones", t, angles, TWO, np.array([torque(s) for s in t]))])
+    found = view([driven("tones", Made(other), t, torque, TWO)])
     gap, ways = found.gap([{}])[0].ravel(), found.own_directions().reshape(4, -1)
     assert list(found.own_nuisances) == ["arm.mass1", "arm.mass2", "arm.inertia1", "arm.inertia2"]
     u, *_ = np.linalg.lstsq(ways.T.astype(float), -gap, rcond=None)
@@ -302,7 +301,7 @@ def test_small_errors_of_each_links_mass_are_nuisances():
 def test_the_inertia_is_as_uncertain_as_the_masses():
     """Otherwise a real triple pendulum gave an inertia 0.4 % too small, in addition to drag and dry friction."""
     t = np.arange(0, 4, 0.005)
-    angles, _ = Made(TWO).swing(0.3, t)
+    angles = Made(TWO).swing(0.3, t)
     still, carried = trial("free", t, angles, TWO), trial("free", t, angles[:, :1], ONE, base=0.01 * np.sin(t))
     assert view([still]).tolerances["inertia.scale"] == view([carried]).tolerances["inertia.scale"] == 0.01
     assert "stiffness.scale" not in view([still]).model_uncertainty
@@ -314,8 +313,7 @@ def test_the_inertia_is_as_uncertain_as_the_masses():
 def test_a_delay_is_as_uncertain_as_a_torque_that_is_held_between_samples():
     t = np.arange(0, 3, 0.01)
     torque = tones(5, 2, (0.5, 0.15))
-    angles, _ = Made(TWO, late=0.02).swing(0.2, t, lambda x: torque(np.floor(100 * x + 1e-9) / 100))
-    found = view([trial("tones", t, angles, TWO, np.array([torque(x) for x in t]))])
+    found = view([driven("tones", Made(TWO, late=0.02), t, lambda x: torque(np.floor(100 * x + 1e-9) / 100), TWO)])
     delays = 0.02 + 0.001 * np.arange(10)
     best = delays[np.argmin(rms(found, [{"dead_time.delay": x} for x in delays]))]
     assert found.model_uncertainty["dead_time.delay"] == pytest.approx(best - 0.02, abs=0.001) == 0.005
@@ -325,7 +323,7 @@ def test_bounds_scale_with_the_chain():
     heavier = {k: 1000 * np.array(TWO[k]) for k in ("mass_kg", "inertia_kg_m2", "armature_kg_m2")}
     small, large = TWO, {**TWO, **heavier}
     t = np.arange(0, 4, 0.005)
-    angles, _ = Made(TWO).swing(0.3, t)
+    angles = Made(TWO).swing(0.3, t)
     tops = []
     for model in (small, large):
         found = {e.name: e for e in view([trial("swing", t, angles, model)]).effects}

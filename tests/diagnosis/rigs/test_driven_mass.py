@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import Series, TrialError
-from softarm.diagnosis.engine import equal_sets
 from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
-from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.from_files import diagnose_files
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
@@ -264,19 +262,6 @@ def test_a_force_split_with_friction_is_found_whole_without_it():
     both = problem.fit([(halves, ((-1.08,), (0.92,)))], 1)[0]
     alone = Prediction(problem, both).of((0,))
     assert problem.fit([(alone.effects, alone.u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
-
-
-def test_a_larger_mass_is_preferred_to_a_gain_and_a_damping_that_act_alike():
-    view = DrivenMassView(campaign(Cart(mass=2.6, viscous=2.0), {"mass_kg": 2.0, "viscous": 2.0}, **QUICK))
-    setup = setup_of(view)
-    known = [c for c in candidates(view) if c.name in ("cart.gain", "cart.damping", "cart.mass")]
-    search = Search(setup.weighed(), setup.plain(), ("cart",), known, RIG)
-    null_model = search.null_model()
-    both = search.problem.fit([((known[0], known[2]), ((-0.2,), (0.5,)))], 12)[0]
-    assert both.names == ("cart.gain", "cart.damping")
-    alone = equal_sets.smallest(search, both, null_model)
-    assert alone.names == ("cart.mass",)
-    assert alone.u[0][0] == pytest.approx(0.3, abs=0.01)
 
 
 def test_dead_time_and_latency_are_indistinguishable():
