@@ -21,40 +21,16 @@ from softarm.diagnosis.rigs.stage import examine
 from softarm.diagnosis.rigs.subsample import together
 from softarm.diagnosis.rigs.whole import FEW, judged
 from softarm.schemas.verdict import Interval
-from tests.diagnosis.rigs.recordings import described_model, mechanism, noisy, simulate
+from tests.diagnosis.rigs.recordings import mechanism, of_joint
 from validation.mechanisms.record import ROBOTS, JointLaw, Truth
 
 LOAD = 0.6  # share of the last body's mass
-ITEM_KG = 0.5
-ITEM = f'<body pos="0.1 0.12 0"><inertial pos="0 0 0" mass="{ITEM_KG}" diaginertia="1e-9 1e-9 1e-9"/></body>'
-WRIST = """<mujoco>
-  <option timestep="0.001" integrator="implicitfast"/>
-  <default>
-    <joint damping="0.1" frictionloss="0.02" armature="0.01"/>
-    <position kp="60" kv="2"/>
-  </default>
-  <worldbody><body>
-    <joint name="bend" axis="0 1 0"/>
-    <inertial pos="0.1 0 0" mass="0.6" diaginertia="1e-3 2e-3 2e-3"/>
-    <body pos="0.25 0 0">
-      <joint name="roll" axis="1 0 0"/>
-      <inertial pos="0.05 0 0" mass="0.3" diaginertia="2e-4 3e-4 3e-4"/>{}
-    </body>
-  </body></worldbody>
-  <actuator><position name="bend_servo" joint="bend"/><position name="roll_servo" joint="roll"/></actuator>
-</mujoco>
-"""
 
 
 def by_joint(folder, robot, truth, seconds=3.0, item=None):
     """Return the trials of each joint of a recorded robot; item: as in `recordings.mechanism`."""
-    return read_by_joint(mechanism(folder, robot, truth, seconds, item))
-
-
-def read_by_joint(stage):
-    """Return the trials of each joint of a stage.yaml."""
     own = {}
-    for trial in tables.read(stage):
+    for trial in tables.read(mechanism(folder, robot, truth, seconds, item)):
         own.setdefault(trial.stage.name, []).append(trial)
     return own
 
@@ -76,15 +52,6 @@ def shown(own, **names):
             assumed={},
         )
     return found
-
-
-def record_wrist(text, file, seed):
-    """Follow sums of sines for two seconds at 100 Hz, with encoders of 0.05 mrad."""
-    model, random = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
-    model.opt.timestep = 5e-4
-    frequency_hz, phase = np.array([0.3, 0.7, 1.3]), random.uniform(0, 2 * np.pi, (2, 3))
-    turns = 2 * np.pi * frequency_hz * np.arange(200)[:, None, None] / 100 + phase
-    simulate(model, file, 0.4 * np.sin(turns).sum(axis=2), read=noisy(random, 5e-5))
 
 
 @pytest.fixture(scope="module")
@@ -167,21 +134,21 @@ def test_a_load_across_a_link_that_no_joint_alone_explains_is_found_by_all_toget
     assert 0 < mass.low < item < mass.high
 
 
+@pytest.mark.slow
 def test_a_payload_beside_the_axis_of_the_last_joint_loads_it_as_well(tmp_path):
     """Along that axis it does not, so the joint alone takes it for an error of its servo."""
-    for seed in range(2):
-        record_wrist(WRIST.format(ITEM), tmp_path / f"sines-{seed}.csv", seed)
-    stage = described_model(tmp_path, WRIST.format(""))
-    own = read_by_joint(stage)
-    (found,) = judged(own, shown(own, bend=("payload",), roll=("command_bias",)))
-    assert [held.named.name for held in found.held.values()] == ["bend.payload", "roll.payload"]
+    item, place = 0.3, (0.0, 0.08, -0.1)
+    stage = mechanism(tmp_path, "drone", Truth({}), seconds=1.5, item=("tool", place, item))
+    own = {joint: of_joint(stage, joint) for joint in ("elbow", "twist")}
+    (found,) = judged(own, shown(own, elbow=("payload",), twist=("command_bias",)))
+    assert [held.named.name for held in found.held.values()] == ["elbow.payload", "twist.payload"]
     for held in found.held.values():
-        assert held.named.shared_by == ("bend", "roll")
-        assert held.named.parameters["mass"].low < ITEM_KG < held.named.parameters["mass"].high
+        assert held.named.shared_by == ("elbow", "twist")
+        assert held.named.parameters["mass"].low < item < held.named.parameters["mass"].high
 
-    sizes = {name: size.value for name, size in found.held["roll"].sizes.items()}
-    stage.write_text(stage.read_text() + yaml.safe_dump({"effects": {"roll.payload": sizes}}))
-    with_it, without = (JointView(trials["roll"]).gap([{}]) for trials in (read_by_joint(stage), own))
+    sizes = {name: size.value for name, size in found.held["twist"].sizes.items()}
+    stage.write_text(stage.read_text() + yaml.safe_dump({"effects": {"twist.payload": sizes}}))
+    with_it, without = (JointView(trials).gap([{}]) for trials in (of_joint(stage, "twist"), own["twist"]))
     assert np.nanstd(with_it) < 0.3 * np.nanstd(without)
 
 

@@ -6,30 +6,16 @@ import pytest
 
 from softarm.diagnosis.rigs.mjcf.descriptions import right_description
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from validation.mechanisms.record import ROBOTS
 
-ARM = """<mujoco>
-  <worldbody><body>
-    <joint name="pan" axis="0 0 1"/>
-    <inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/>
-    <body>
-      <joint name="shoulder" axis="0 1 0"/>
-      <inertial pos="0.2 0 0" mass="2" diaginertia="0.03 0.03 0.01"/>
-      <body pos="0.4 0 0">
-        <joint name="elbow" axis="0 1 0"/>
-        <inertial pos="0.15 0 0" mass="1" diaginertia="0.01 0.01 0.005"/>
-      </body>
-    </body>
-  </body></worldbody>
-</mujoco>"""
-JOINTS = "pan", "shoulder", "elbow"
+ARM = ROBOTS["arm"].model
+JOINTS = "base", "shoulder", "elbow"  # the others stand still
 
 
 @pytest.fixture(scope="module")
-def moved(tmp_path_factory):
+def moved():
     """Return the arm, the motion of its joints, and the torque that each of them needs."""
-    path = tmp_path_factory.mktemp("arm") / "arm.xml"
-    path.write_text(ARM)
-    model, random, t_s = mujoco.MjModel.from_xml_string(ARM), np.random.default_rng(2), np.linspace(0, 20, 150)
+    model, random, t_s = mujoco.MjModel.from_xml_path(str(ARM)), np.random.default_rng(2), np.linspace(0, 20, 150)
     rates, phases, sizes = (random.uniform(*ends, (3, 4)) for ends in ((1, 6), (0, 6), (0.1, 0.4)))
     turns = rates[..., None] * t_s + phases[..., None]
     position = 0.4 + np.einsum("jk,jkt->jt", sizes, np.sin(turns))
@@ -37,11 +23,11 @@ def moved(tmp_path_factory):
     acceleration = -np.einsum("jk,jkt->jt", sizes * rates**2, np.sin(turns))
     data, torques = mujoco.MjData(model), []
     for q, v, a in zip(position.T, speed.T, acceleration.T, strict=True):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+        data.qpos[:3], data.qvel[:3], data.qacc[:3] = q, v, a
         mujoco.mj_inverse(model, data)
-        torques.append(data.qfrc_inverse.copy())
+        torques.append(data.qfrc_inverse[:3].copy())
     motions = {name: (position[i], speed[i], acceleration[i]) for i, name in enumerate(JOINTS)}
-    return Mechanism(path, JOINTS), motions, dict(zip(JOINTS, np.array(torques).T, strict=True))
+    return Mechanism(ARM, JOINTS), motions, dict(zip(JOINTS, np.array(torques).T, strict=True))
 
 
 def described(moved, joint, **changed):
