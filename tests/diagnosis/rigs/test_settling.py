@@ -14,28 +14,22 @@ from tests.diagnosis.rigs.recordings import described_model, noisy, of_joint, si
 HEALTHY, FAULTY = (1.18, 1.17, 0.97), (2.2, 2.0, 2.0)
 
 
-def test_joints_that_are_alone_not_sure_determine_a_law_together():
-    assert chosen_law(HEALTHY) == 0
-    assert common_law([HEALTHY] * 8) == 2
-    assert common_law([*[HEALTHY] * 8, FAULTY, FAULTY]) == 2
-
-
 @pytest.mark.parametrize(
-    "losses",
+    ("losses", "law"),
     [
-        [HEALTHY] * 2,  # too few
-        [FAULTY] * 8,  # no law leaves noise alone
-        [(1.0, 1.0, 1.0)] * 8,
-        [(1.18, 1.2, 6.0)] * 8,
-        [()] * 8,
+        ([HEALTHY] * 8, 2),  # each alone is not sure
+        ([*[HEALTHY] * 8, FAULTY, FAULTY], 2),
+        ([*[HEALTHY] * 8, *[(1.0, 1.0)] * 9], 2),  # a joint that shows fewer laws does not count
+        ([HEALTHY] * 2, None),  # too few
+        ([FAULTY] * 8, None),  # no law leaves noise alone
+        ([(1.0, 1.0, 1.0)] * 8, None),
+        ([(1.18, 1.2, 6.0)] * 8, None),
+        ([()] * 8, None),
     ],
 )
-def test_without_evidence_each_joint_keeps_its_own_law(losses):
-    assert common_law(losses) is None
-
-
-def test_a_joint_that_shows_fewer_laws_does_not_count():
-    assert common_law([*[HEALTHY] * 8, *[(1.0, 1.0)] * 9]) == 2
+def test_joints_determine_a_law_together_and_each_keeps_its_own_without_evidence(losses, law):
+    assert chosen_law(HEALTHY) == 0
+    assert common_law(losses) == law
 
 
 def test_a_healthy_joint_is_diagnosed_again_only_if_the_common_law_leaves_a_gap():

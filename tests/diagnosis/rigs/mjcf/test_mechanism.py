@@ -136,6 +136,12 @@ def test_the_base_tilts_about_the_axes_that_gravity_does_not_point_along(tmp_pat
     assert not Mechanism(tmp_path / "space.xml").level_axes
 
 
+def held(model, angles):
+    """Return by joint at which samples a contact or limit acts on it; angles: joint -> positions at rest."""
+    motion = {name: (np.array(x), np.zeros(3), np.zeros(3)) for name, x in angles.items()}
+    return {name: model.held(model.joint(name), model.course(model.joint(name), motion)).tolist() for name in angles}
+
+
 def test_a_contact_counts_for_the_joints_that_it_loads(tmp_path):
     """A foot on the ground loads hip and ankle, not the other leg; legs that touch load both."""
     leg = (
@@ -150,15 +156,9 @@ def test_a_contact_counts_for_the_joints_that_it_loads(tmp_path):
     model = Mechanism(file)
     # Left foot on the ground, right leg raised; then both raised; then both legs turned towards each other.
     angles = {"left": [0.0, 0.6, -0.35], "right": [-0.6, -0.6, 0.35], "left_ankle": [0.0] * 3, "right_ankle": [0.0] * 3}
-    motion = {name: (np.array(x), np.zeros(3), np.zeros(3)) for name, x in angles.items()}
-
-    def held(name):
-        joint = model.joint(name)
-        return model.held(joint, model.course(joint, motion)).tolist()
-
-    assert held("left") == [True, False, True]
-    assert held("left_ankle") == [True, False, True]
-    assert held("right") == [False, False, True]
+    found = held(model, angles)
+    assert found["left"] == found["left_ankle"] == [True, False, True]
+    assert found["right"] == [False, False, True]
 
 
 def test_a_limit_of_a_tendon_counts_for_the_joints_that_move_it(tmp_path):
@@ -177,9 +177,7 @@ def test_a_limit_of_a_tendon_counts_for_the_joints_that_move_it(tmp_path):
     model = Mechanism(file)
     # Both within their limits; the last joint ahead; and the tip far away.
     angles = {"wrist": [0.0] * 3, "base": [0.3, 0.0, 0.0], "last": [0.25, 0.2, 0.0], "spread": [0.3, 0.3, 0.0]}
-    motion = {name: (np.array(x), np.zeros(3), np.zeros(3)) for name, x in angles.items()}
-    found = {name: model.held(model.joint(name), model.course(model.joint(name), motion)).tolist() for name in angles}
-    assert found == {
+    assert held(model, angles) == {
         "wrist": [False, False, False],
         "base": [False, True, True],
         "last": [False, True, False],

@@ -23,6 +23,13 @@ def read(found, folder):
     return mujoco.MjModel.from_xml_path(str(folder / "patched.xml"))
 
 
+def edited(folder, text, changes=(), calibration=()):
+    """Return the patch of a model's text, and the patched model."""
+    (folder / "arm.xml").write_text(text)
+    found = patch.patched(folder / "arm.xml", verdict(changes, calibration), calibration=True)
+    return found, read(found, folder)
+
+
 def test_attributes_of_joint_and_actuator_are_written_and_nothing_else_changes(tmp_path):
     changes = [
         ("elbow.coulomb_friction.torque", 120.0, "mN m"),
@@ -70,10 +77,8 @@ ACTUATED = """<mujoco>{}<worldbody><body name="link"><joint name="elbow" axis="0
 
 
 def test_an_equality_with_the_name_of_a_joint_is_no_joint(tmp_path):
-    file = tmp_path / "arm.xml"
-    file.write_text(ACTUATED.format('<equality><joint name="elbow" joint1="elbow"/></equality>', ""))
-    found = patch.patched(file, verdict([("elbow.damping.viscous", 0.2, "N m s/rad")]), calibration=True)
-    after = read(found, tmp_path)
+    text = ACTUATED.format('<equality><joint name="elbow" joint1="elbow"/></equality>', "")
+    _, after = edited(tmp_path, text, [("elbow.damping.viscous", 0.2, "N m s/rad")])
     assert np.ravel(after.dof_damping)[0] == pytest.approx(0.2)
 
 
@@ -181,11 +186,9 @@ def test_a_file_that_cannot_be_edited_is_replaced_by_one_of_mujoco(tmp_path, inc
 
 @pytest.mark.parametrize(("mode", "mass_kg"), [("auto", 2.2), ("true", 2.0)])
 def test_the_mass_of_a_body_without_inertia_of_its_own_is_written_or_reported(tmp_path, mode, mass_kg):
-    file = tmp_path / "arm.xml"
-    file.write_text(ACTUATED.format(f'<compiler inertiafromgeom="{mode}"/>', ""))
-    before = mujoco.MjModel.from_xml_path(str(file))
-    found = patch.patched(file, verdict([("elbow.mass_link.scale", 0.1, "-")]), calibration=True)
-    body, old = read(found, tmp_path).body("link"), before.body("link")
+    text = ACTUATED.format(f'<compiler inertiafromgeom="{mode}"/>', "")
+    found, after = edited(tmp_path, text, [("elbow.mass_link.scale", 0.1, "-")])
+    body, old = after.body("link"), mujoco.MjModel.from_xml_string(text).body("link")
     assert body.mass[0] == pytest.approx(mass_kg)
     assert body.inertia == pytest.approx(old.inertia * mass_kg / 2, rel=1e-4)
     assert body.ipos == pytest.approx(old.ipos)
@@ -195,12 +198,11 @@ def test_the_mass_of_a_body_without_inertia_of_its_own_is_written_or_reported(tm
 
 def test_a_finding_that_the_file_cannot_express_is_left_out_with_its_remedy(tmp_path):
     text = ACTUATED.format("", '<position jointinparent="elbow" kp="10" dampratio="1"/>')
-    file = tmp_path / "arm.xml"
-    file.write_text(text.replace('<body name="link">', "<body>"))
-    before = mujoco.MjModel.from_xml_path(str(file))
+    text = text.replace('<body name="link">', "<body>")
+    before = mujoco.MjModel.from_xml_string(text)
     changes = [("elbow.mass_body1.scale", 0.1, "-"), ("elbow.payload.mass", 0.2, "kg"), ("elbow.gain.scale", 0.1, "-")]
-    found = patch.patched(file, verdict(changes), calibration=True)
-    assert found.text == file.read_text()
+    found, _ = edited(tmp_path, text, changes)
+    assert found.text == text
     unnamed = "the body has no name; name it in the model and diagnose again"
     assert found.left_out == (
         "elbow.gain.scale = 0.1: the MJCF has no place for it; --patch FILE.yaml writes it",
@@ -239,14 +241,12 @@ def test_a_payload_that_several_joints_weigh_is_added_once(tmp_path):
 
 @pytest.mark.parametrize("option", ['<option timestep="0.002" integrator="implicitfast"/>', ""])
 def test_the_tilt_that_several_joints_feel_turns_gravity_once(tmp_path, option):
-    file = tmp_path / "arm.xml"
     text = ARM.read_text().replace('<option timestep="0.002" integrator="implicitfast"/>', option)
     assert ("<option" in text) == bool(option)
-    file.write_text(text)
     tilts = [("base.tilt.x", 0.04, "rad"), ("base.tilt.y", -0.02, "rad"), ("shoulder.tilt.x", 0.06, "rad")]
-    found = patch.patched(file, verdict(tilts), calibration=True)
+    found, after = edited(tmp_path, text, tilts)
     assert not found.left_out
-    x, y, z = read(found, tmp_path).opt.gravity
+    x, y, z = after.opt.gravity
     assert np.linalg.norm((x, y, z)) == pytest.approx(9.81, rel=1e-5)
     assert (x, y) == pytest.approx((-0.02 * 9.81, -0.05 * 9.81), rel=3e-3)
 
@@ -295,10 +295,9 @@ def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
         body.format(name, joint and f'<joint name="{joint}"/>')
         for name, joint in (("link", "j"), ("plate", ""), ("tip", "k"))
     )
-    file = tmp_path / "robot.xml"
-    file.write_text(f"<mujoco><worldbody>{link}{plate}</body>{tip}</body></body></worldbody></mujoco>")
-    found = read(patch.patched(file, verdict(calibration=[("j.mass_link", 0.02, "-")]), calibration=True), tmp_path)
-    assert [found.body(name).mass[0] for name in ("link", "plate", "tip")] == pytest.approx([1.02, 1.02, 1.0])
+    text = f"<mujoco><worldbody>{link}{plate}</body>{tip}</body></body></worldbody></mujoco>"
+    _, model = edited(tmp_path, text, calibration=[("j.mass_link", 0.02, "-")])
+    assert [model.body(name).mass[0] for name in ("link", "plate", "tip")] == pytest.approx([1.02, 1.02, 1.0])
 
 
 def test_the_calibration_is_left_out_on_request():
