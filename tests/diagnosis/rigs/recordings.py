@@ -11,6 +11,8 @@ import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.stage import view_of
 from validation.mechanisms.cases import stage_text
@@ -128,6 +130,16 @@ def view_of_joint(stage, joint):
 def rms(view, point=None):
     """Return the root mean square of a view's gap, by default of its nominal model."""
     return float(np.sqrt(np.nanmean(view.gap([point or {}]) ** 2)))
+
+
+def alone(view, kinds):
+    """Fit every effect of a view alone; return the best fit of each by name, the best first, and the problem."""
+    problem = Setup([view], nuisances(view), kinds).weighed()
+    fits = problem.fit([((c,), (start,)) for c in candidates(view) for start in c.starts], 12)
+    best = {}
+    for fit in sorted(fits, key=lambda f: f.loss):
+        best.setdefault(fit.names[0].partition(".")[2], fit)
+    return best, problem
 
 
 def named(trials):

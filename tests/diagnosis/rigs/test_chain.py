@@ -45,7 +45,7 @@ class Made:
         inertia = own + beyond.get("inertia", 0.0) * (own + mass * centre**2)
         damping = damping + beyond.get("viscous", 0.0)
         spring, rest = (beyond.get(name, 0.0) for name in ("spring", "rest"))
-        length, load = np.append(0.0, model["length_m"]), beyond.get("payload", 0.0)
+        length, load = np.append(0.0, model.get("length_m", 0.0)), beyond.get("payload", 0.0)
         end = f'<body pos="0 0 {-length[n]}"><inertial pos="0 0 0" mass="{load}" diaginertia="1e-9 1e-9 1e-9"/></body>'
         chain = end if load else ""
         for i in reversed(range(n)):

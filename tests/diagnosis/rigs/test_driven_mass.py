@@ -13,13 +13,12 @@ import pytest
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.from_files import diagnose_files
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import resolution
 from softarm.diagnosis.rigs.laws import driven_mass as laws
-from tests.diagnosis.rigs.recordings import named, recording
+from tests.diagnosis.rigs.recordings import alone, named, recording
 from validation.rigs.case import draw
 from validation.rigs.record import write
 
@@ -192,18 +191,9 @@ def test_an_amplifier_has_a_dead_zone_a_limit_and_a_lag():
     np.testing.assert_allclose(late[1:], means, atol=1e-12)
 
 
-def setup_of(view):
-    return Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)])
-
-
-def alone(view):
-    """Fit every effect alone and return the fits, the best first."""
-    setup = setup_of(view)
-    problem = setup.weighed()
-    search = Search(problem, setup.plain(), [view.stage], candidates(view))
-    null_model = problem.fit([((), ())])[0]
-    fits = problem.fit(search._started(null_model, search.candidates), 12)
-    return {f.names[0].partition(".")[2]: f for f in sorted(fits, key=lambda f: f.loss)}, null_model, problem
+def fitted(view):
+    """Return the best fit of every effect alone, by name, the best first, and the problem."""
+    return alone(view, [str(k) for k in np.unique(view.trial)])
 
 
 SINGLES = {
@@ -233,9 +223,9 @@ def test_the_cause_fits_best_with_its_true_size(name):
     cart, parameter, size, inseparable = SINGLES[name]
     seconds = 9.0 if name in ALIKE else 6.0  # a short recording shows a lag too small
     view = DrivenMassView(campaign(cart, KNOWN, **QUICK | {"seconds": seconds}))
-    fits, null_model, _ = alone(view)
+    fits, problem = fitted(view)
     assert np.sqrt(np.nanmean(view.gap([{}])[0] ** 2)) > 5 * view.floor[0]
-    assert fits[name].loss < 0.05 * null_model.loss
+    assert fits[name].loss < 0.05 * problem.fit([((), ())])[0].loss
     apart = 0.3 if name == "stiction" else 0.1  # its size trades with the speed at which it fades
     assert fits[name].point[f"cart.{name}.{parameter}"] == pytest.approx(size, rel=apart)
     assert not fits[name].at_bound
@@ -246,7 +236,7 @@ def test_the_cause_fits_best_with_its_true_size(name):
 def test_two_effects_are_fitted_with_their_true_sizes():
     found = {"coulomb_friction.force": 1.6, "damping.viscous": 3.0}
     view = DrivenMassView(campaign(replace(RUBS, coulomb=1.6, viscous=3.0), KNOWN, **QUICK))
-    fits, _, problem = alone(view)
+    fits, problem = fitted(view)
     both = tuple(fits[path.partition(".")[0]].effects[0] for path in found)
     fit = problem.fit([(both, tuple(c.starts[0] for c in both))], 12)[0]
     for path, size in found.items():
@@ -257,11 +247,12 @@ def test_two_effects_are_fitted_with_their_true_sizes():
 def test_a_force_split_with_friction_is_found_whole_without_it():
     """Both halves cause the same motion, so no descent leads from one half to the whole."""
     view = DrivenMassView(campaign(replace(RUBS, offset=-2.0), KNOWN, **QUICK))
-    problem, known = setup_of(view).weighed(), {c.name: c for c in candidates(view)}
+    problem = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)]).weighed()
+    known = {c.name: c for c in candidates(view)}
     halves = known["cart.force_offset"], known["cart.friction_asymmetry"]
     both = problem.fit([(halves, ((-1.08,), (0.92,)))], 1)[0]
-    alone = Prediction(problem, both).of((0,))
-    assert problem.fit([(alone.effects, alone.u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
+    single = Prediction(problem, both).of((0,))
+    assert problem.fit([(single.effects, single.u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
 
 
 def test_dead_time_and_latency_are_indistinguishable():
@@ -284,7 +275,7 @@ def test_a_measured_speed_suffices_and_may_have_a_wrong_zero():
     view = DrivenMassView(campaign(replace(RUBS, coulomb=1.6), KNOWN, velocity=True, noise=1e-3, **QUICK))
     assert (view.unit, view.channels) == ("m/s", ("velocity",))
     assert {"cart.backlash", "cart.compliance"}.isdisjoint(e.name for e in view.effects)
-    fits, _, _ = alone(view)
+    fits, _ = fitted(view)
     assert next(iter(fits)) == "coulomb_friction"
     assert fits["coulomb_friction"].point["cart.coulomb_friction.force"] == pytest.approx(1.6, rel=0.1)
     biased = view.gap([{"cart.sensor_bias.bias": 0.05}])[0] - view.gap([{}])[0]
@@ -301,7 +292,7 @@ def test_units_and_bounds_follow_the_axis():
     assert units["axis.damping.viscous"] == "N m s/rad"
     assert units["axis.ceiling.limit"] == "A"
     assert units["axis.backlash.gap"] == view.unit == "rad"
-    fits, _, _ = alone(view)
+    fits, _ = fitted(view)
     assert next(iter(fits)) == "coulomb_friction"
     assert fits["coulomb_friction"].point["axis.coulomb_friction.force"] == pytest.approx(6e-4, rel=0.1)
 

@@ -7,20 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import Series, TableStage, TrialError
+from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.candidates import nuisances
-from softarm.diagnosis.rigs.chain.model import chain_of
-from softarm.diagnosis.rigs.chain.shooting import swing as swung
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.diagnose import diagnose_table, merged, refuse_two_models
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import grid
-from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.stage import view_of
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.simulator.effects import REGISTRY
 from tests.diagnosis.rigs.recordings import named, recording, shipped
+from tests.diagnosis.rigs.test_chain import Made
 
 MODEL = {
     "mass_kg": 0.15,
@@ -134,14 +132,10 @@ def test_only_a_wrong_velocity_gives_a_warning():
     assert "servo: the measured velocity is 2.2 times the slope of its position" in text
 
 
-def swing(amplitude, seconds, damping=1.0, torque=0.0, drag=0.0):
-    """Simulate a swing with the law, from rest at an amplitude; return stamps and angles."""
-    rows, steps = chain_of(TableStage("joint", "pendulum", MODEL)).rows(), round(100 * seconds)
-    rows[law.VISCOUS] *= damping
-    rows[law.DRY], rows[law.GIVE], rows[law.EACH + law.DRAG] = torque, 3e-4, drag
-    still = np.zeros((1, 4 * steps, 1)), np.zeros((1, 4 * steps))
-    out = swung(rows[None], np.array([[[amplitude, 0.0, 0.0]]]), *still, 0.0025, 4)[0, 0, :, 0]
-    return np.arange(len(out)) / 100, out
+def swing(amplitude, seconds, **beyond):
+    """Simulate a swing from rest at an amplitude; return stamps and angles."""
+    t = np.arange(0, seconds, 0.01)
+    return t, Made(MODEL, **beyond).swing(amplitude, t)[:, 0]
 
 
 def test_fast_sources_are_averaged_and_gaps_become_nan():
@@ -212,7 +206,7 @@ def test_large_swings_show_drag_and_dry_friction_next_to_the_models_viscous_fric
     draw = np.random.default_rng(5)
     trials, true = [], {"drag": 0.01, "coulomb_friction": 5e-4}
     for i, amplitude in enumerate((1.4, 1.0, 0.7, 0.4)):
-        t, angle = swing(amplitude, 3.0, damping=0.0, torque=5e-4, drag=0.01)
+        t, angle = swing(amplitude, 3.0, viscous=-2e-4, dry=5e-4, drag=0.01)
         trials.append(pendulum(angle + 2e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
     verdict = diagnose_table(trials).verdict
     found = {e.name.partition(".")[2]: e.parameters for e in verdict.effects}

@@ -13,7 +13,7 @@ from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.scales import fastest, lateness, repeatability, white_noise
 from softarm.diagnosis.rigs.tracking import TrackingView, resolving_hz
-from tests.diagnosis.rigs.recordings import recording
+from tests.diagnosis.rigs.recordings import alone, recording
 
 STEP_S, FINE = 0.02, 20
 T = STEP_S * np.arange(800)
@@ -103,15 +103,9 @@ def flown(truth, noise=1e-3, quick=1.0, large=1.0, seed=0, kinds=KINDS):
     return found
 
 
-def alone(trials):
-    """Fit every effect alone and return loss and point by name, the best first."""
-    view = TrackingView(trials)
-    problem = Setup([view], nuisances(view), [t.kind for t in trials]).weighed()
-    fits = problem.fit([((c,), (start,)) for c in candidates(view) for start in c.starts], 10)
-    best = {}
-    for fit in sorted(fits, key=lambda f: f.loss):
-        best.setdefault(fit.effects[0].name.partition(".")[2], (fit.loss, dict(fit.point)))
-    return best
+def fitted(trials):
+    """Return the best fit of every effect alone, by name, the best first."""
+    return alone(TrackingView(trials), [t.kind for t in trials])[0]
 
 
 CASES = [
@@ -155,13 +149,13 @@ SECOND = ("latency", "deadband", "sensor_bias")
     [pytest.param(*each, marks=pytest.mark.prove if each[0] in SECOND else ()) for each in CASES],
 )
 def test_the_cause_fits_best_with_its_true_size(name, truth, point):
-    found = alone(flown(truth, kinds=TWO))
+    found = fitted(flown(truth, kinds=TWO))
     assert next(iter(found)) in {name, ALIKE.get(name)}
     if name == "latency":  # indistinguishable
         name, point = "dead_time", {"dead_time.delay": truth["latency"]}
     for path, value in point.items():  # stepped commands resolve a delay to half a step
         near = 0.55 * (T[1] - T[0]) if path == "dead_time.delay" else 0.006
-        assert found[name][1][f"axis.{path}"] == pytest.approx(value, rel=0.12, abs=near)
+        assert found[name].point[f"axis.{path}"] == pytest.approx(value, rel=0.12, abs=near)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.1])
@@ -202,16 +196,16 @@ def test_dry_friction_in_a_velocity_loop_is_not_a_dead_band(lag):
     view = TrackingView(trials)
     unseen, seen = view.gap([given, given | {"axis.coulomb_friction.loss": 0.08}]).astype(float)
     assert np.sqrt(np.nanmean(seen**2)) < 0.05 * np.sqrt(np.nanmean(unseen**2))
-    found = alone(trials)
+    found = fitted(trials)
     assert next(iter(found)) == "coulomb_friction"
-    assert found["coulomb_friction"][1]["axis.coulomb_friction.loss"] == pytest.approx(0.08, rel=0.03)
+    assert found["coulomb_friction"].point["axis.coulomb_friction.loss"] == pytest.approx(0.08, rel=0.03)
     assert "axis.coulomb_friction" not in {e.name for e in TrackingView(flown({"lag": 0.1}, kinds=TWO)).effects}
 
 
 def test_a_dead_band_without_a_lag_equals_backlash_of_twice_its_width():
-    found = alone(flown({"width": 0.06}, kinds=TWO))
-    assert found["backlash"][0] == pytest.approx(found["deadband"][0], rel=0.05)
-    assert found["backlash"][1]["axis.backlash.gap"] == pytest.approx(0.12, rel=0.05)
+    found = fitted(flown({"width": 0.06}, kinds=TWO))
+    assert found["backlash"].loss == pytest.approx(found["deadband"].loss, rel=0.05)
+    assert found["backlash"].point["axis.backlash.gap"] == pytest.approx(0.12, rel=0.05)
 
 
 def test_neutral_parameters_change_no_bit():
