@@ -275,13 +275,6 @@ def test_the_patch_of_a_urdf_is_an_mjcf_with_the_findings(tmp_path):
     assert found.diff.count("\n+") == 4  # header, option, joint, body
 
 
-def test_the_mass_of_a_single_body_is_scaled_with_its_inertia(tmp_path):
-    found = patch.patched(ARM, verdict(calibration=[("elbow.mass_wrist", 0.02, "-")]), calibration=True)
-    body = read(found, tmp_path).body("wrist")
-    assert body.mass[0] == pytest.approx(0.09 * 1.02)
-    assert sorted(body.inertia) == pytest.approx([3.06e-5, 5.1e-5, 5.1e-5])
-
-
 def test_a_body_with_another_mass_is_no_average_with_its_calibration(tmp_path):
     changes = [("shoulder.mass_wrist.scale", 0.4, "-"), ("elbow.mass_wrist.scale", 0.4, "-")]
     found = patch.patched(ARM, verdict(changes, [("base.mass_wrist", 0.02, "-")]), calibration=True)
@@ -289,8 +282,8 @@ def test_a_body_with_another_mass_is_no_average_with_its_calibration(tmp_path):
     assert after.body("wrist").mass[0] == pytest.approx(1.4 * before.body("wrist").mass[0])
 
 
-def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
-    body = '<body name="{}">{}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+def test_the_mass_of_a_part_is_scaled_in_all_its_bodies_with_their_inertia(tmp_path):
+    body = '<body name="{}">{}<inertial pos="0 0 0" mass="1" diaginertia="4 3 2"/>'
     link, plate, tip = (
         body.format(name, joint and f'<joint name="{joint}"/>')
         for name, joint in (("link", "j"), ("plate", ""), ("tip", "k"))
@@ -298,6 +291,7 @@ def test_the_mass_of_a_part_is_scaled_in_all_its_bodies(tmp_path):
     text = f"<mujoco><worldbody>{link}{plate}</body>{tip}</body></body></worldbody></mujoco>"
     _, model = edited(tmp_path, text, calibration=[("j.mass_link", 0.02, "-")])
     assert [model.body(name).mass[0] for name in ("link", "plate", "tip")] == pytest.approx([1.02, 1.02, 1.0])
+    assert model.body("plate").inertia == pytest.approx([4.08, 3.06, 2.04])
 
 
 def test_the_calibration_is_left_out_on_request():
