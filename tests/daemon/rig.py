@@ -65,42 +65,50 @@ class Rig:
         self.sequence = 0
         self.tip = (0.0, 0.52)
         self.cart = 0.0
+        self.tip_tracked = True
+        self.ahead_ns = 0  # of the cameras' clock
         self.on = False
         self.outputs = None
 
     def inputs(self, *kinds, goal=None, **changes):
+        """Return the inputs of the next tick; a change that is a mapping changes fields of the fresh reading."""
         self.now += PERIOD_NS
         frames = []
         for ago in reversed(range(self.frames)):
             self.sequence += 1
-            tip = Pose(self.tip[0] + 1e-5 * (self.sequence % 2), self.tip[1], 0.0)  # cameras have noise
+            noise_m = 1e-5 * (self.sequence % 2)  # of cameras
+            tip = Pose(self.tip[0] + noise_m, self.tip[1], 0.0, self.tip_tracked)
             bodies = (Pose(self.cart, 0.965, 0.0), *[Pose(self.cart, 0.7, 0.0)] * 4, tip)
-            stamp = self.now - (ago + 1) * 8_000_000
+            stamp = self.now - (ago + 1) * 8_000_000 + self.ahead_ns
             frames.append(MocapFrame(self.sequence, stamp, self.now, bodies))
         requests = []
         for kind in kinds:
             self.number += 1
             requests.append(Request(self.number, kind, goal))
-        return dataclasses.replace(
-            Inputs(
-                t_ns=self.now,
-                mocap=tuple(frames),
-                pressure=PressureReading(self.now, 0.0, self.on),
-                rail=RailReading(self.now, self.cart, 0.0, self.on),
-                requests=tuple(requests),
-            ),
-            **changes,
+        fresh = Inputs(
+            t_ns=self.now,
+            mocap=tuple(frames),
+            pressure=PressureReading(self.now, 0.0, self.on),
+            rail=RailReading(self.now, self.cart, 0.0, self.on),
+            requests=tuple(requests),
         )
+        for name, change in changes.items():
+            if isinstance(change, dict):
+                changes[name] = dataclasses.replace(getattr(fresh, name), **change)
+        return dataclasses.replace(fresh, **changes)
 
     def tick(self, *kinds, goal=None, runners=None, **changes):
         self.outputs = self.controller.tick(self.inputs(*kinds, goal=goal, **changes), runners)
         self.on = self.outputs.sent.enable
         return self.outputs
 
+    def ticks(self, count, **changes):
+        for _ in range(count):
+            self.tick(**changes)
+        return self
+
     def armed(self):
-        for _ in range(30):
-            self.tick()
-        self.tick("arm")
+        self.ticks(30).tick("arm")
         self.tick()
         assert self.outputs.mode is Mode.ARMED
         return self
@@ -112,12 +120,3 @@ class Rig:
 
     def reasons(self):
         return " ".join(self.outputs.results[-1].reasons)
-
-
-def spoil(rig, **fields):
-    """Return the next inputs with changed fields of a reading."""
-    rig.now -= PERIOD_NS
-    fresh = rig.inputs()
-    rig.now -= PERIOD_NS
-    reading = fields.pop("of")
-    return {reading: dataclasses.replace(getattr(fresh, reading), **fields)}
