@@ -1,5 +1,3 @@
-import math
-
 import pytest
 
 from softarm.daemon.control.goals import GoalTracker
@@ -34,6 +32,11 @@ FLIGHTS = {
         [(0, [(0.0, 0.5)], "running"), (1, [(0.0, 0.45)], "running"), (2, [(0.0, 0.4)], "failed")],
         ("not reached within 2.00 s: closest distance 100 mm, required 40 mm", 0.1, 2.0),
     ),
+    "a hold has no end of its own": (
+        Goal("hold"),
+        [(0, [(0.0, 0.52)], "running"), (1000, [(0.0, 0.52)], "running")],
+        (None, None, 1000.0),
+    ),
 }
 
 
@@ -55,16 +58,6 @@ def test_a_new_goal_replaces_the_old_one():
     goals.start(Goal("reach", -0.3, 0.7))
     assert goals.status.number == 2
     assert goals.status.closest_m is None
-
-
-def test_a_hold_has_no_end_of_its_own():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("hold"))
-    goals.update([(0.0, 0.52)], 0)
-    goals.update([(0.0, 0.52)], 1000 * SECOND)
-    assert goals.running == goals.status.goal
-    assert goals.status.closest_m is None
-    assert math.isnan(goals.running.y_m)
 
 
 TICK = SECOND // 30
@@ -95,14 +88,6 @@ def test_every_goal_has_its_own_time_and_episode():
     assert (goals.status.reason, goals.status.closest_m) == (None, None)
     goals.start(Goal("run"))
     assert set(flown(goals, 300, start=99 * TICK)) == {"running"}
-
-
-def test_without_a_goal_no_result_changes():
-    goals = GoalTracker(Goals())
-    before = goals.status
-    goals.update([(0.0, 0.5)], SECOND)
-    goals.end("failed", "nothing to fail")
-    assert goals.status == before
 
 
 @pytest.mark.parametrize("state", ["failed", "cancelled"])
