@@ -6,6 +6,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partialmethod
 from types import SimpleNamespace
 
 import httpx
@@ -111,14 +112,9 @@ class Client:
 
         return asyncio.run(ask())
 
-    def get(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("GET", path, **kwargs)
-
-    def post(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("POST", path, **kwargs)
-
-    def put(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("PUT", path, **kwargs)
+    get = partialmethod(request, "GET")
+    post = partialmethod(request, "POST")
+    put = partialmethod(request, "PUT")
 
 
 def context(loop: Loop, config: Config | None = None, **kwargs) -> ApiContext:

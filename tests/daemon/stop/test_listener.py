@@ -121,6 +121,7 @@ def test_answers_name_the_api_version_and_any_version_may_stop(stopping):
 
 PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
 NAMED = "http://robot.example:8080"
+PAGE = {"Origin": NAMED, "Host": "robot.example:8081"}
 
 
 @pytest.fixture
@@ -179,12 +180,11 @@ def test_other_pages_are_refused(stopping, origin, host):
 
 
 def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, far):
-    page = {"Origin": NAMED, "Host": "robot.example:8081"}
     with way(stopping, far) as port:
-        assert fetch(port, "OPTIONS", **page)[0] == 204
-        assert fetch(port, "POST", **page) == (401, allowed_to(page["Origin"]))
-        assert fetch(port, "POST", **page, Authorization=f"Bearer {TOKEN}")[0] == 200
-        assert fetch(port, "OPTIONS", **page | {"Origin": "http://other.example:8080"})[0] == 401
+        assert fetch(port, "OPTIONS", **PAGE)[0] == 204
+        assert fetch(port, "POST", **PAGE) == (401, allowed_to(NAMED))
+        assert fetch(port, "POST", **PAGE, Authorization=f"Bearer {TOKEN}")[0] == 200
+        assert fetch(port, "OPTIONS", **PAGE | {"Origin": "http://other.example:8080"})[0] == 401
     assert stopping.taken == ["stop"]
 
 
@@ -211,9 +211,9 @@ def cookie(sessions, role=Role.STOP) -> str:
 
 @pytest.mark.parametrize("role", list(Role))
 def test_a_page_that_has_logged_in_stops_without_a_token(stopping, far, sessions, role):
-    page = {"Origin": NAMED, "Host": "robot.example:8081", "Cookie": f"other=1; {cookie(sessions, role)}"}
     with way(stopping, far, sessions) as port:
-        assert fetch(port, "POST", **page) == (200, allowed_to(NAMED))
+        held = f"other=1; {cookie(sessions, role)}"
+        assert fetch(port, "POST", Cookie=held, **PAGE) == (200, allowed_to(NAMED))
     assert stopping.who == [f"the dedicated stop port ({role.name.lower()} token)"]
 
 
@@ -221,11 +221,10 @@ def test_an_expired_login_still_stops_and_a_revoked_one_does_not(stopping, far, 
     kept, given_back = cookie(sessions), cookie(sessions)
     sessions.logins.revoke(given_back.partition("=")[2])
     sessions.now_s[0] = LOGIN_S + 1
-    page = {"Origin": NAMED, "Host": "robot.example:8081"}
     with way(stopping, far, sessions) as port:
-        assert fetch(port, "POST", Cookie=given_back, **page)[0] == 401
+        assert fetch(port, "POST", Cookie=given_back, **PAGE)[0] == 401
         assert stopping.taken == []
-        assert fetch(port, "POST", Cookie=kept, **page)[0] == 200
+        assert fetch(port, "POST", Cookie=kept, **PAGE)[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -247,19 +246,18 @@ def test_the_cookie_is_ignored_from_other_pages(stopping, far, sessions, page):
 
 
 def test_a_foreign_or_invented_cookie_is_ignored(stopping, far, sessions):
-    page = {"Origin": NAMED, "Host": "robot.example:8081"}
     secret = sessions.logins.issue(Role.COMMAND)
     ticket = sessions.tickets.issue(Role.COMMAND)
     with way(stopping, far, sessions) as port:
         for value in (f"softarm-8090={secret}", "softarm-8080=guess", "softarm-8080=", f"softarm-8080={ticket}", ""):
-            assert fetch(port, "POST", Cookie=value, **page)[0] == 401
+            assert fetch(port, "POST", Cookie=value, **PAGE)[0] == 401
         both = {"Cookie": f"softarm-8080={secret}", "Authorization": "Bearer wrong"}
-        assert fetch(port, "POST", **both, **page)[0] == 401  # a token in the header takes precedence
+        assert fetch(port, "POST", **both, **PAGE)[0] == 401  # a token in the header takes precedence
     assert stopping.taken == []
 
 
 def test_concurrent_logins_do_not_disturb_a_stop(stopping, far, sessions):
-    page, over = {"Origin": NAMED, "Host": "robot.example:8081"}, threading.Event()
+    over = threading.Event()
 
     def log_in_and_out():
         while not over.is_set():
@@ -271,7 +269,7 @@ def test_concurrent_logins_do_not_disturb_a_stop(stopping, far, sessions):
     crowd.start()
     try:
         with way(stopping, far, sessions) as port:
-            assert {fetch(port, "POST", Cookie="softarm-8080=guess", **page)[0] for _ in range(100)} == {401}
+            assert {fetch(port, "POST", Cookie="softarm-8080=guess", **PAGE)[0] for _ in range(100)} == {401}
     finally:
         over.set()
         crowd.join()
