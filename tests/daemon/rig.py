@@ -6,7 +6,7 @@ import numpy as np
 
 from softarm.daemon.control.records import Inputs, Mode, Request
 from softarm.daemon.tick import Controller
-from softarm.policies.base import PolicySpec
+from softarm.policies.base import Policy, PolicySpec
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
@@ -36,16 +36,13 @@ class Steady:
         return self.action
 
 
-class BangBang:
+class BangBang(Policy):
     """Policy with the hardest possible commands, which change at random."""
 
     spec = PolicySpec("bang-bang", "as hard as commands go")
 
     def __init__(self, seed):
         self._rng, self._action = np.random.default_rng(seed), np.zeros(2, dtype=np.float32)
-
-    def reset(self):
-        pass
 
     def step(self, observation, goal):
         if self._rng.random() < 0.2:

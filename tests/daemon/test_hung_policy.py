@@ -17,22 +17,19 @@ from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.main import Twin
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 from softarm.policies import trusted
-from softarm.policies.base import PolicySpec
+from softarm.policies.base import Policy, PolicySpec
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.goals import Goal
 from tests.processes import until
 
 
-class Stuck:
+class Stuck(Policy):
     """Policy that moves the cart and fills the muscle, and then waits like an endless computation in C."""
 
     spec = PolicySpec("stuck", "hangs while the cart moves", needs_target=False)
 
     def __init__(self):
         self.steps, self.hangs, self.let_go = 0, threading.Event(), threading.Event()
-
-    def reset(self):
-        pass
 
     def step(self, observation, goal):
         self.steps += 1

@@ -30,9 +30,6 @@ class AsRecorded(Policy):
     def __init__(self, policy, actions):
         self.spec, self._actions = policy.spec, actions
 
-    def reset(self):
-        pass
-
     def step(self, observation, goal):
         return np.array(next(self._actions), dtype=np.float32)
 
