@@ -31,10 +31,6 @@ def raised(*inputs: Inputs, engaged: bool = True, config: Config = CONFIG) -> di
     return {event.name: event.detail for event in device_events(inputs[-1], observer, config, engaged)}
 
 
-def test_a_healthy_robot_raises_nothing():
-    assert raised(HEALTHY) == {}
-
-
 @pytest.mark.parametrize(
     ("reading", "silent", "device"), [("pressure", None, "regulator"), ("rail", None, "rail"), ("mocap", (), "mocap")]
 )
