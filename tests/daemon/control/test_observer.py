@@ -158,30 +158,26 @@ def test_a_dropout_restarts_the_count_of_frames_for_arming():
     assert observer.frames_in_a_row == 0
 
 
-def apart_at_first_m(axis_ms, seen_ms, now_ms, speed_m_s=0.0, axis_m=0.25):
-    """Return the distance of a cart seen at 0.05 m from an axis reading."""
-    observer = Observer(Config())
-    reading = RailReading(axis_ms * MS, axis_m, speed_m_s, True)
-    observer.update(Inputs(t_ns=now_ms * MS, mocap=(frame(seen_ms, cart=0.05, tip=(0.05, 0.52)),), rail=reading))
-    return observer.apart_m
-
-
 @pytest.mark.parametrize(
-    ("when", "apart_m"),
+    ("axis_ms", "seen_ms", "axis_m", "speed_m_s", "apart_m"),
     [
-        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500}, 0.2),
-        ({"axis_ms": 401, "seen_ms": 401, "now_ms": 500}, 0.2),
-        ({"axis_ms": 400, "seen_ms": 400, "now_ms": 500}, 0.2),
-        ({"axis_ms": 399, "seen_ms": 490, "now_ms": 500}, None),  # older than what is flown by
-        ({"axis_ms": 490, "seen_ms": 399, "now_ms": 500}, None),
-        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "axis_m": -0.15}, 0.2),
-        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": 0.4}, 0.1),  # for 0.15 s of a camera and 0.1 s
-        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": -0.4}, 0.1),
-        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": 2.0}, 0.0),
+        (490, 490, 0.25, 0.0, 0.2),
+        (401, 401, 0.25, 0.0, 0.2),
+        (400, 400, 0.25, 0.0, 0.2),
+        (399, 490, 0.25, 0.0, None),  # older than what is flown by
+        (490, 399, 0.25, 0.0, None),
+        (490, 490, -0.15, 0.0, 0.2),
+        (490, 490, 0.25, 0.4, 0.1),  # for 0.15 s of a camera and 0.1 s
+        (490, 490, 0.25, -0.4, 0.1),
+        (490, 490, 0.25, 2.0, 0.0),
     ],
 )
-def test_an_axis_is_compared_from_its_first_reading_on(when, apart_m):
-    assert apart_at_first_m(**when) == (None if apart_m is None else pytest.approx(apart_m))
+def test_an_axis_is_compared_from_its_first_reading_on(axis_ms, seen_ms, axis_m, speed_m_s, apart_m):
+    """A cart is seen at 0.05 m; the tick is at 500 ms."""
+    observer = Observer(Config())
+    reading = RailReading(axis_ms * MS, axis_m, speed_m_s, True)
+    observer.update(Inputs(t_ns=500 * MS, mocap=(frame(seen_ms, cart=0.05, tip=(0.05, 0.52)),), rail=reading))
+    assert observer.apart_m == pytest.approx(apart_m)
 
 
 def test_no_observation_before_every_sensor_has_delivered():

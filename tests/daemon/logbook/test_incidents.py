@@ -188,8 +188,11 @@ def test_a_full_disk_prevents_the_incident_and_is_reported(tmp_path, monkeypatch
     assert files(tmp_path) == []
 
 
-def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
-    """Return the remaining of five files of 1 MB; assert that other files remain."""
+@pytest.mark.parametrize(
+    ("number_max", "mb_max", "left"),
+    [(50, 200, [1, 2, 3, 4, 5]), (5, 5, [1, 2, 3, 4, 5]), (3, 200, [3, 4, 5]), (50, 2, [4, 5]), (1, 0, [5])],
+)
+def test_the_oldest_incidents_are_deleted_and_the_newest_never(tmp_path, number_max, mb_max, left):
     for number in range(1, 6):
         path = tmp_path / f"incident-2026010{number}T000000Z.zip"
         path.write_bytes(b"0" * 1_000_000)
@@ -197,12 +200,4 @@ def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
     (tmp_path / "mine.zip").write_bytes(b"0" * 9_000_000)
     incidents.delete_oldest(tmp_path, number_max, mb_max)
     assert (tmp_path / "mine.zip").exists()
-    return [int(path.name[16]) for path in sorted(tmp_path.glob("incident*"))]
-
-
-@pytest.mark.parametrize(
-    ("number_max", "mb_max", "left"),
-    [(50, 200, [1, 2, 3, 4, 5]), (5, 5, [1, 2, 3, 4, 5]), (3, 200, [3, 4, 5]), (50, 2, [4, 5]), (1, 0, [5])],
-)
-def test_the_oldest_incidents_are_deleted_and_the_newest_never(tmp_path, number_max, mb_max, left):
-    assert kept(tmp_path, number_max, mb_max) == left
+    assert [int(path.name[16]) for path in sorted(tmp_path.glob("incident*"))] == left

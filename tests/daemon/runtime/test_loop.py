@@ -233,11 +233,6 @@ def fly(rehearse):
     return outputs
 
 
-class Absent:
-    def tick(self, *_):
-        pass
-
-
 class Observed(Rehearsal):
     """Rehearsal that records its outputs."""
 
@@ -263,7 +258,7 @@ def test_a_flight_is_the_same_with_and_without_rehearsals():
         rehearsals.append(Observed(policy))
         return rehearsals[0]
 
-    alone, beside = fly(lambda policy: Absent()), fly(observed)
+    alone, beside = fly(lambda policy: Rehearsed()), fly(observed)
     assert sum(o.action is not None for o in alone) > 5
     assert {o.policy for o in alone if o.action is not None} == {"reach", "reach-robust"}
     assert alone[-1].results[-1].accepted  # of the acknowledgement
