@@ -2,7 +2,6 @@
 
 from dataclasses import is_dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from types import UnionType
 from typing import get_args, get_origin, get_type_hints
 
@@ -11,17 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request, RequestResult, TickTiming
+from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestResult, TickTiming
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter, TickFile
-from softarm.policies.base import PolicySpec
 from softarm.recordings.live import EVENT
 from softarm.recordings.mcap_file import LogError
-from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
-from softarm.schemas.goals import Goal
-from softarm.schemas.messages import BODY_NAMES, Command, MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
+from tests.daemon.logbook.builders import config, make_tick, recorded, unfinished
 
 
 def values(hint) -> st.SearchStrategy:
@@ -46,57 +42,13 @@ def values(hint) -> st.SearchStrategy:
 tick = st.tuples(values(Inputs), values(Outputs), values(TickTiming))
 
 
-def make_tick(number: int, period_ns: int = 33_333_333) -> tuple[Inputs, Outputs, TickTiming]:
-    """Return a plausible tick with four frames and fresh readings."""
-    now = 1_000_000_000 + number * period_ns
-    poses = tuple(Pose(0.01 * number, 0.5 + i / 7, -0.1 * i) for i in range(6))
-    frames = tuple(
-        MocapFrame(4 * number + i, now - 8_000_000 * (4 - i), now - 8_000_000 * (4 - i) + 900_000, poses)
-        for i in range(4)
-    )
-    inputs = Inputs(
-        now,
-        mocap=frames,
-        pressure=PressureReading(now - 1_000_000, 1.5 + number / 3, True, (), number),
-        rail=RailReading(now - 2_000_000, 0.1, number / 9, True),
-        requests=(Request(number, "goal", Goal("hold")),) if number % 30 == 0 else (),
-    )
-    outputs = Outputs(
-        now, number, 0, 0, 0, Mode.ARMED, EStop.CLEAR, sent=Command(True, 0.1 + number / 7, 3.3), policy="reach"
-    )
-    return inputs, outputs, TickTiming(10_000, 200_000, 5_000, 9_000_000)
-
-
-def record(directory: Path, ticks, **recorder) -> Path:
-    """Record ticks and stop."""
-    box = Recorder(Config(recorder={"directory": directory, **recorder}), PolicySpec("reach", "test"))
-    box.start()
-    for one in ticks:
-        box.tick(*one)
-    box.stop()
-    assert box.problem is None
-    assert box.path is not None
-    return box.path
-
-
-def unfinished(directory: Path, ticks) -> Path:
-    """Return the log of a killed daemon, without chunks and end."""
-    path = directory / "killed.mcap"
-    with path.open("wb") as file:
-        live = TickFile(file)
-        live.head(Config(), PolicySpec("reach", "test"), 1, 2)
-        for one in ticks:
-            live.write(one)
-    return path
-
-
 @pytest.mark.slow
 @settings(
     deadline=None, max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
 @given(ticks=st.lists(tick, min_size=1, max_size=3))
 def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):
-    log = logs.read(record(tmp_path, ticks, idle_interval_s=0))
+    log = logs.read(recorded(config(tmp_path), ticks).path)
     assert log.finished
     assert repr(list(log)) == repr(ticks)  # equal types and bits; all NaN are equal
 
@@ -113,8 +65,7 @@ def test_an_unchanged_reading_is_written_once():
 
 def test_messages_have_real_stamps(tmp_path):
     inputs, outputs, timing = make_tick(3)
-    path = record(tmp_path, [(inputs, outputs, timing)])
-    with path.open("rb") as file:
+    with recorded(config(tmp_path), [(inputs, outputs, timing)]).path.open("rb") as file:
         stamps = {c.topic: (m.log_time, m.publish_time) for _, c, m in make_reader(file).iter_messages()}
     newest = inputs.mocap[-1]
     assert stamps["/mocap"] == (newest.t_receive_ns, newest.t_capture_ns)
@@ -125,7 +76,7 @@ def test_messages_have_real_stamps(tmp_path):
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda c: c.topic)
 def test_every_channel_describes_its_messages_as_objects(channel):
     assert b'"type": "object"' in channel.json_schema()
-    data = {message.topic: message.data for message in Splitter().split(*make_tick(30))}
+    data = {message.topic: message.data for message in Splitter().split(*run_of_six()[2])}
     data["/event"] = EVENT.encode(Entry(1, 2, datetime.now(UTC), 3, "stop", "stopped", "emergency stop"))
     data = data[channel.topic]
     assert data.startswith(b'{"')
@@ -137,7 +88,7 @@ def test_every_channel_describes_its_messages_as_objects(channel):
 
 def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
     ticks = [make_tick(n) for n in range(12)]
-    whole = unfinished(tmp_path, ticks).read_bytes()
+    whole = unfinished(tmp_path / "killed.mcap", ticks).read_bytes()
     cut = tmp_path / "cut.mcap"
     seen = []
     for length in [*range(0, len(whole), 1999), len(whole)]:
@@ -172,16 +123,15 @@ def test_a_log_of_a_newer_format_is_refused_with_both_versions(tmp_path, version
         logs.read(path)
 
 
-def disarmed(number: int, *requests: Request) -> tuple[Inputs, Outputs, TickTiming]:
-    """Return a tick of the run that the next tests read."""
-    inputs, outputs, timing = make_tick(number)
-    mode = Mode.ARMED if number >= 4 else Mode.DISARMED
-    results = tuple(RequestResult(request.number, True) for request in requests)
-    return replace(inputs, requests=requests), replace(outputs, mode=mode, results=results), timing
-
-
 def run_of_six() -> list[tuple[Inputs, Outputs, TickTiming]]:
-    return [disarmed(n, *((Request(1, "arm", who="the terminal"),) if n == 3 else ())) for n in range(1, 7)]
+    """Return ticks of which the third has a request to arm and the fourth is armed."""
+    ticks = [make_tick(n) for n in range(1, 7)]
+    for n, (inputs, outputs, timing) in enumerate(ticks):
+        if n == 2:
+            inputs = replace(inputs, requests=(Request(1, "arm", who="the terminal"),))
+            outputs = replace(outputs, results=(RequestResult(1, True),))
+        ticks[n] = inputs, replace(outputs, mode=Mode.ARMED if n >= 3 else Mode.DISARMED), timing
+    return ticks
 
 
 ENTRIES = [("request", 3, "arm requested from the terminal"), ("mode", 4, "disarmed → armed")]
@@ -189,20 +139,16 @@ ENTRIES = [("request", 3, "arm requested from the terminal"), ("mode", 4, "disar
 
 def test_a_log_has_its_events_in_wall_time(tmp_path):
     clocks = {"monotonic_ns": lambda: 0, "wall_ns": lambda: 1_800_000_000_000_000_000}
-    box = Recorder(Config(recorder={"directory": tmp_path}), PolicySpec("reach", "test"), **clocks)
-    box.start()
-    for one in run_of_six():
-        box.tick(*one)
-    box.stop()
+    box = recorded(config(tmp_path), run_of_six(), **clocks)
     entries = list(logs.read(box.path).entries())
     assert [(e.kind, e.tick, e.text) for e in entries] == ENTRIES
     assert [e.number for e in entries] == [1, 2]
     assert entries == list(box.history.entries)
-    assert entries[1].time.isoformat() == "2027-01-15T08:00:01.133333+00:00"
+    assert entries[1].time.isoformat() == "2027-01-15T08:00:05.133333+00:00"
     assert len(list(logs.read(box.path))) == 6
 
 
 def test_the_events_of_a_log_without_events_are_derived_from_its_ticks(tmp_path):
-    log = logs.read(unfinished(tmp_path, run_of_six()))
+    log = logs.read(unfinished(tmp_path / "killed.mcap", run_of_six()))
     assert [(e.kind, e.tick, e.text) for e in log.entries()] == ENTRIES
     assert {e.number for e in log.entries()} == {0}

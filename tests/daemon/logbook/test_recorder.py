@@ -6,13 +6,12 @@ import struct
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
-from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
+from softarm.daemon.control.records import Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook import folder, logs
 from softarm.daemon.logbook.recorder import Recorder, RecorderError
 from softarm.daemon.logbook.ticks import TickFile
@@ -21,40 +20,9 @@ from softarm.recordings import log_file
 from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
-from softarm.schemas.messages import MocapFrame, Pose, PressureReading
+from softarm.schemas.messages import PressureReading
+from tests.daemon.logbook.builders import SPEC, config, make_tick, recorded, recording, unfinished
 from tests.processes import until
-
-SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
-
-
-def config(directory: Path, **recorder) -> Config:
-    """Return a configuration that keeps all ticks; `test_thinning.py` tests thinning."""
-    return Config(recorder={"directory": directory, "idle_interval_s": 0, **recorder})
-
-
-def make_tick(number: int, t_ns: int | None = None) -> tuple[Inputs, Outputs, TickTiming]:
-    now = t_ns if t_ns is not None else 5_000_000_000 + number * 33_333_333
-    frames = tuple(MocapFrame(4 * number + i, now, now, (Pose(0.1, 0.2, 0.3),) * 6) for i in range(4))
-    outputs = Outputs(now, number, 0, 0, 0, Mode.DISARMED, EStop.CLEAR, policy="reach")
-    return Inputs(now, mocap=frames), outputs, TickTiming(1, 2, 3, None)
-
-
-@contextmanager
-def recording(settings: Config, **clocks):
-    """Yield a recorder that is stopped at the end."""
-    recorder = Recorder(settings, SPEC, **clocks)
-    recorder.start()
-    yield recorder
-    recorder.stop()
-
-
-def recorded(settings: Config, ticks) -> Recorder:
-    """Record ticks and stop when all are written."""
-    with recording(settings) as recorder:
-        for one in ticks:
-            recorder.tick(*one)
-        until(lambda: not recorder._queue, "the queue")
-    return recorder
 
 
 def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
@@ -63,9 +31,9 @@ def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
         reader = make_reader(file)
         summary = reader.get_summary()
         topics = {channel.topic for _, channel, _ in reader.iter_messages()}
-    assert summary.statistics.message_count == 90 * 5
+    assert summary.statistics.message_count == 90 * 7
     assert summary.chunk_indexes[0].compression == "zstd"
-    assert topics == {"/mocap", "/tick"}
+    assert topics == {"/mocap", "/pressure", "/rail", "/tick"}
     assert [path.name for path in tmp_path.iterdir()] == [recorder.path.name]
 
 
@@ -272,12 +240,7 @@ def test_a_disabled_recorder_writes_nothing(tmp_path):
 
 
 def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
-    left = tmp_path / "softarm-20200101T000000Z.mcap"
-    with left.open("wb") as file:
-        live = TickFile(file)
-        live.head(Config(), SPEC, 0, 0)
-        for number in range(50):
-            live.write(make_tick(number))
+    left = unfinished(tmp_path / "softarm-20200101T000000Z.mcap", map(make_tick, range(50)))
     (tmp_path / "softarm-20200101T000001Z.mcap").write_bytes(b"rubbish")
     with recording(config(tmp_path)):
         until(lambda: is_finished(left), "the old log")
@@ -296,10 +259,10 @@ def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
 
 CHILD = """
 import os, struct, sys, time
-from tests_support import make_tick
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.logbook.ticks import TickFile
 from softarm.schemas.config import Config
+from tests.daemon.logbook.builders import make_tick
 
 queued, written, flush, write = 0, 0, TickFile.flush, TickFile.write
 
@@ -324,8 +287,7 @@ while True:
 
 @pytest.mark.slow
 def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
-    (tmp_path / "tests_support.py").write_text(Path(__file__).read_text())
-    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    path = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-c", CHILD, str(tmp_path / "logs")]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
     flushes = child.stdout.read(16 * 12)
