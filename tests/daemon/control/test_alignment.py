@@ -81,24 +81,17 @@ def test_restart_discards_the_estimate():
     assert alignment.lag_ns is None
 
 
-def test_a_history_has_values_only_near_its_readings():
+def test_a_history_interpolates_linearly_and_has_values_only_near_its_readings():
     past = ReadingHistory()
     assert past.at(0) is None
-    for t_ms, position_m in ((100, 0.0), (140, 0.04), (140, 9.0), (120, 9.0)):  # the last two are no newer
-        past.add(t_ms * MS, position_m, 1.0)
+    for reading in ((100, 0.0, 0.0), (140, 0.04, 2.0), (180, 0.2, 6.0), (180, 9.0, 9.0), (120, 9.0, 9.0)):
+        past.add(reading[0] * MS, *reading[1:])  # the last two are no newer
     assert past.at(100 * MS - 1) is None
-    assert past.at(100 * MS) == (0.0, 1.0)
-    assert past.at(110 * MS) == pytest.approx((0.01, 1.0))
-    assert past.at(190 * MS) == pytest.approx((0.09, 1.0))  # carried on
-    assert past.at(190 * MS + 1) is None
-
-
-def test_value_and_rate_are_interpolated_linearly():
-    past = ReadingHistory()
-    for t_ms, position_m, velocity_m_s in ((0, 0.0, 0.0), (40, 0.04, 2.0), (80, 0.2, 6.0)):
-        past.add(t_ms * MS, position_m, velocity_m_s)
-    assert past.at(10 * MS) == pytest.approx((0.01, 0.5))
-    assert past.at(70 * MS) == pytest.approx((0.16, 5.0))
+    assert past.at(100 * MS) == (0.0, 0.0)
+    assert past.at(110 * MS) == pytest.approx((0.01, 0.5))
+    assert past.at(170 * MS) == pytest.approx((0.16, 5.0))
+    assert past.at(230 * MS) == pytest.approx((0.5, 6.0))  # carried on
+    assert past.at(230 * MS + 1) is None
 
 
 def test_a_reading_without_a_rate_has_rate_zero():
