@@ -12,11 +12,13 @@ from mcap.reader import make_reader
 
 from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestResult, TickTiming
 from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.logs import exceeded
 from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter, TickFile
 from softarm.recordings.live import EVENT
 from softarm.recordings.mcap_file import LogError
+from softarm.schemas.config import Limits
 from softarm.schemas.events import Entry
-from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
+from softarm.schemas.messages import BODY_NAMES, Command, MocapFrame, Pose
 from tests.daemon.logbook.builders import config, make_tick, recorded, unfinished
 
 
@@ -152,3 +154,22 @@ def test_the_events_of_a_log_without_events_are_derived_from_its_ticks(tmp_path)
     log = logs.read(unfinished(tmp_path / "killed.mcap", run_of_six()))
     assert [(e.kind, e.tick, e.text) for e in log.entries()] == ENTRIES
     assert {e.number for e in log.entries()} == {0}
+
+
+@pytest.mark.parametrize(
+    ("limits", "problems"),
+    [
+        ({}, []),
+        ({"rail": {"position_min_m": -0.01}}, ["the cart left its limits: -0.050 to 0.100 m"]),
+        ({"rail": {"velocity_max_m_s": 0.45}}, ["a velocity above its limit was sent"]),
+        ({"pressure": {"max_kpa": 4.0}}, ["a pressure outside its limits was sent"]),
+    ],
+)
+def test_values_beyond_a_limit_are_reported(limits, problems):
+    inputs, outputs, _ = make_tick(1)
+    run = [
+        (replace(inputs, rail=replace(inputs.rail, position_m=cart_m)), replace(outputs, sent=Command(True, *sent)))
+        for cart_m, *sent in ((-0.05, 0.4, 1.0), (0.1, -0.5, 5.0))
+    ]
+    assert exceeded(run, Limits.model_validate(limits)) == problems
+    assert exceeded([(Inputs(0), outputs) for _, outputs in run], Limits()) == []
