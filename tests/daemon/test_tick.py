@@ -143,25 +143,18 @@ def test_a_goal_without_arming_is_refused():
     assert rig.outputs.goal.state == "none"
 
 
-def test_the_policy_is_not_changed_under_a_running_goal():
-    rig, other = Rig().swinging(), InlineRunner(Steady((0.0, 1.0)))
+def test_the_policy_is_changed_during_a_hold_but_not_under_a_running_goal():
+    rig, other, closed = Rig().swinging(), InlineRunner(Steady((0.0, 1.0))), []
+    rig.controller._policy.close = lambda: closed.append("old")
     rig.tick("policy", runners={rig.number + 1: other})
     assert "a goal is running" in rig.reasons()
-    rig.tick("cancel_goal")
-    rig.tick("policy", runners={rig.number + 1: other})
-    assert rig.outputs.results[-1].accepted
-    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
-    assert rig.outputs.sent.pressure_kpa == 1.0
-
-
-def test_a_policy_may_be_changed_during_a_hold_and_the_old_one_is_closed():
-    rig = Rig().armed()
+    assert closed == []
     rig.tick("goal", goal=Goal("hold"))
-    closed = []
-    rig.controller._policy.close = lambda: closed.append("old")
-    rig.tick("policy", runners={rig.number + 1: InlineRunner(Steady((0.0, 1.0)))})
+    rig.tick("policy", runners={rig.number + 1: other})
     assert rig.outputs.results[-1] == RequestResult(rig.number, True)
     assert closed == ["old"]
+    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
+    assert rig.outputs.sent.pressure_kpa == 1.0
 
 
 def test_the_newest_results_are_kept_for_late_readers():

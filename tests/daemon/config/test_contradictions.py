@@ -25,10 +25,6 @@ def refusals(tmp_path):
     return refusals
 
 
-def test_the_defaults_have_no_contradiction():
-    assert list(contradictions(Config())) == []
-
-
 @pytest.mark.parametrize(
     ("text", "said", "next_step"),
     [
@@ -70,6 +66,7 @@ def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusal
 @pytest.mark.parametrize(
     "text",
     [
+        "",
         "limits: {rail: {braking_m_s2: 4, surge_m_s2: 8}}",  # measured on a robot whose arm pulls less
         "limits: {rail: {braking_m_s2: 1.7, surge_m_s2: 10.3}}",
         "limits: {rail: {braking_m_s2: 1}}\ndrivers: {rail: {acceleration_m_s2: 2}}",

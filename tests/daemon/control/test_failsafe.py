@@ -189,19 +189,10 @@ def test_resuming_in_the_same_mode_keeps_its_time():
     assert (made.mode, made.estop) == (Mode.STOPPED, EStop.LATCHED)
 
 
-def test_a_soft_stop_ends_although_the_cart_never_rests():
+@pytest.mark.parametrize(("rests_in", "ticks"), [(None, 5), *((tick, 9) for tick in range(5))])
+def test_a_soft_stop_ends_although_the_cart_never_rests_or_the_arm_keeps_swinging(rests_in, ticks):
     made = machine(Mode.STOPPING)
-    for _ in range(5):
-        step(made)
-        assert made.mode is Mode.STOPPING
-    step(made)
-    assert made.mode is Mode.DISARMED
-
-
-@pytest.mark.parametrize("rests_in", range(5))
-def test_a_soft_stop_ends_although_the_arm_keeps_swinging(rests_in):
-    made = machine(Mode.STOPPING)
-    for tick in range(9):
+    for tick in range(ticks):
         step(made, at_rest=tick == rests_in)
         assert made.mode is Mode.STOPPING
     step(made)
