@@ -21,7 +21,7 @@ from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import PressureReading
-from tests.daemon.logbook.builders import SPEC, config, make_tick, recorded, recording, unfinished
+from tests.daemon.logbook.builders import config, make_tick, recorded, recording, unfinished
 from tests.processes import until
 
 
@@ -123,28 +123,26 @@ def disk(monkeypatch):
 
 
 def test_a_full_disk_ends_the_log_and_recording_resumes_in_a_new_one(tmp_path, disk):
-    recorder = Recorder(config(tmp_path), SPEC)
-    recorder.start()
-    first = recorder.path
-    recorder.tick(*make_tick(0))
-    until(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
-    disk.set()
-    until(lambda: recorder.problem is not None, "the problem")
-    for words in ("the log ends here", "delete old logs", "recording continues by itself"):
-        assert words in recorder.problem
-    recorder.tick(*flown(1))
-    until(lambda: recorder.history.entries, "the event is still reported")
-    assert recorder.history.entries[0].text == "disarmed → armed"
-    recorder.policy(PolicySpec("pid", "the seed's gains"))
-    recorder.done("log", "deleted an old log", "the bench")
-    until(lambda: len(recorder.history.entries) == 2, "the action, and with it the policy queued before it")
-    disk.clear()
-    until(lambda: recorder.problem is None, "the new log")
-    recorder.tick(*make_tick(2))
-    until(lambda: logs.read(recorder.path).t_last_ns is not None, "its first tick")
-    disk.set()
-    until(lambda: recorder.problem is not None, "the problem")
-    recorder.stop()
+    with recording(config(tmp_path)) as recorder:
+        first = recorder.path
+        recorder.tick(*make_tick(0))
+        until(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
+        disk.set()
+        until(lambda: recorder.problem is not None, "the problem")
+        for words in ("the log ends here", "delete old logs", "recording continues by itself"):
+            assert words in recorder.problem
+        recorder.tick(*flown(1))
+        until(lambda: recorder.history.entries, "the event is still reported")
+        assert recorder.history.entries[0].text == "disarmed → armed"
+        recorder.policy(PolicySpec("pid", "the seed's gains"))
+        recorder.done("log", "deleted an old log", "the bench")
+        until(lambda: len(recorder.history.entries) == 2, "the action, and with it the policy queued before it")
+        disk.clear()
+        until(lambda: recorder.problem is None, "the new log")
+        recorder.tick(*make_tick(2))
+        until(lambda: logs.read(recorder.path).t_last_ns is not None, "its first tick")
+        disk.set()
+        until(lambda: recorder.problem is not None, "the problem")
     assert recorder.path != first
     assert recorder.dropped == 1
     log = logs.read(recorder.path)
@@ -195,21 +193,18 @@ def test_a_full_file_waits_a_limited_time_for_the_end_of_a_goal(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_file_is_continued_if_no_new_one_can_be_created(tmp_path, disk, monkeypatch):
-    recorder = Recorder(
-        config(tmp_path, file_max_mb=1, flush_interval_s=0.005), SPEC
-    )  # a full file gets few ticks an interval
-    recorder.start()
-    first = recorder.path
-    new_log = folder.new_log
-    monkeypatch.setattr(folder, "new_log", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    for number in range(1, 91):
-        recorder.tick(*flown(number))
-    until(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
-    assert (recorder.path, recorder.problem) == (first, None)
-    monkeypatch.setattr(folder, "new_log", new_log)
-    recorder.tick(*flown(91))
-    until(lambda: recorder.path != first, "the next file")
-    recorder.stop()
+    # A full file gets few ticks an interval.
+    with recording(config(tmp_path, file_max_mb=1, flush_interval_s=0.005)) as recorder:
+        first = recorder.path
+        new_log = folder.new_log
+        monkeypatch.setattr(folder, "new_log", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        for number in range(1, 91):
+            recorder.tick(*flown(number))
+        until(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
+        assert (recorder.path, recorder.problem) == (first, None)
+        monkeypatch.setattr(folder, "new_log", new_log)
+        recorder.tick(*flown(91))
+        until(lambda: recorder.path != first, "the next file")
     assert [number for part in parts(tmp_path) for number in part] == list(range(1, 92))
 
 
