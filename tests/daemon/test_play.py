@@ -1,16 +1,14 @@
 """Playback of an excitation, live or in lockstep."""
 
-from dataclasses import replace
+from unittest.mock import AsyncMock
 
 import pytest
 
 from softarm.daemon.logbook import logs
 from softarm.daemon.play import play
 from softarm.daemon.runtime.devices import simulated_devices
-from softarm.drivers.base import WithoutWire
 from softarm.schemas import excitation
 from softarm.schemas.config import Config
-from softarm.schemas.messages import MocapFrame
 
 
 @pytest.fixture
@@ -37,22 +35,12 @@ def test_live_playback_arms_and_plays(config):
     assert max(outputs.sent.pressure_kpa for _, outputs in log.ticks()) > 0.0
 
 
-class NoFrames(WithoutWire):
-    """Motion capture without any frame."""
-
-    stopped = False
-
-    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
-        return ()
-
-    async def stop(self) -> None:
-        self.stopped = True
-
-
 @pytest.mark.realtime
 def test_a_robot_that_cannot_be_armed_is_left_safe(config, monkeypatch):
     monkeypatch.setattr("softarm.daemon.play._ARMING_S", 0.5)
-    cameras = NoFrames()
+    devices, stop = simulated_devices(), AsyncMock()
+    monkeypatch.setattr(devices.mocap, "read", lambda now_ns: ())
+    monkeypatch.setattr(devices.mocap, "stop", stop)
     with pytest.raises(RuntimeError, match=r"did not arm within .* s: .*motion capture"):
-        play(config, "short", replace(simulated_devices(), mocap=cameras), lambda time_s: None)
-    assert cameras.stopped
+        play(config, "short", devices, lambda time_s: None)
+    assert stop.await_count == 1
