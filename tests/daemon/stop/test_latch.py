@@ -47,10 +47,14 @@ def test_a_robot_without_a_stop_begins_clear_and_leaves_no_file(path):
     assert not path.exists()
 
 
-def test_a_stop_is_written_without_further_calls(path):
+def test_a_stop_is_written_in_place_without_further_calls(path):
     with keeping(path) as keeper:
+        before = path.stat()
         keeper.note(WHY)
         until(lambda: killed(path) == WHY)
+        after = path.stat()
+    assert before.st_size == after.st_size == SIZE
+    assert (before.st_ino, before.st_blocks) == (after.st_ino, after.st_blocks)
     with keeping(path) as keeper:
         assert keeper.left == WHY
         keeper.note(None)
@@ -64,16 +68,6 @@ def test_closing_writes_the_last_stop(path):
         for number in range(20):
             keeper.note(f"stop {number}")
     assert killed(path) == "stop 19"
-
-
-def test_the_file_is_overwritten_in_place(path):
-    with keeping(path) as keeper:
-        before = path.stat()
-        keeper.note(WHY)
-        until(lambda: killed(path) == WHY)
-        after = path.stat()
-    assert before.st_size == after.st_size == SIZE
-    assert (before.st_ino, before.st_blocks) == (after.st_ino, after.st_blocks)
 
 
 @pytest.mark.parametrize(

@@ -46,22 +46,16 @@ def test_other_keys_do_not_stop(terminal):
     assert len(pressed) == 1
 
 
-def test_the_terminal_is_restored(terminal):
+def test_the_terminal_is_restored_and_the_key_works_again_after_a_suspension(terminal):
     _, ours = terminal
     before = termios.tcgetattr(ours)
     with StopKey(lambda: None, ours):
         assert not termios.tcgetattr(ours)[3] & (termios.ICANON | termios.ECHO)
         assert termios.tcgetattr(ours)[3] & termios.ISIG  # Ctrl-C ends the daemon as ever
-    assert termios.tcgetattr(ours) == before
-
-
-def test_the_key_works_again_after_a_suspension(terminal):
-    _, ours = terminal
-    before = termios.tcgetattr(ours)
-    with StopKey(lambda: None, ours):
         termios.tcsetattr(ours, termios.TCSANOW, before)  # as a shell does after Ctrl-Z
         os.kill(os.getpid(), signal.SIGCONT)
         assert not termios.tcgetattr(ours)[3] & termios.ICANON
+    assert termios.tcgetattr(ours) == before
 
 
 def test_without_a_terminal_no_key_is_read(tmp_path):
