@@ -195,18 +195,13 @@ def test_a_failed_tick_brakes_and_vents_and_the_loop_continues(caplog):
     assert "the control loop failed" in caplog.text
 
 
-def test_stopping_tries_every_device_even_if_others_fail(caplog):
+def test_stopping_tries_every_device_even_if_others_fail_and_ends_the_thread(caplog):
     with Loop(rail=OSError("no route"), regulator=RuntimeError("stuck")) as loop:
         loop.until(lambda _: True)
     assert loop.devices.rail.stopped
     assert loop.devices.regulator.stopped
     assert loop.devices.mocap.stopped
     assert "no route" in caplog.text
-
-
-def test_the_thread_ends_and_enables_garbage_collection():
-    with Loop() as loop:
-        loop.until(lambda _: True)
     assert not loop.loop._thread.is_alive()
     assert gc.isenabled()
 
