@@ -8,6 +8,7 @@ import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
 
@@ -20,6 +21,12 @@ from softarm.drivers.rail.settings import Settings
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
+
+Answer = Callable[[ModbusRequest], bytes]
+
+
+def refused(request: ModbusRequest) -> bytes:
+    return dryve.encode_abort(request.transaction, 0x08000022)
 
 
 class Drive(DryveDevice):
@@ -43,6 +50,24 @@ class Drive(DryveDevice):
     def move(self) -> None:
         self.velocity_m_s = self.velocity_m_s if self.coasts else self.target_velocity_m_s
         self.sense(self.position_m, self.velocity_m_s)
+
+    def spoil(
+        self, bad: Answer, *entries: dryve.Entry, data: Any = ANY, times: float = math.inf
+    ) -> list[ModbusRequest]:
+        """Answer the next requests badly and return the list of them: all, or those for some entries or data."""
+        spoilt: list[ModbusRequest] = []
+        places = [(entry.index, entry.sub) for entry in entries]
+
+        def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            request = dryve.decode_request(telegram)
+            concerned = (not places or (request.index, request.sub) in places) and request.data == data
+            if not concerned or len(spoilt) >= times:
+                return answer()
+            spoilt.append(request)
+            return bad(request)
+
+        self.script = script
+        return spoilt
 
     def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
         return [
@@ -81,6 +106,13 @@ class ProcessThread(threading.Thread):
         """Do nothing: the thread ends when the pair closes."""
 
 
+async def stop_while(step: Callable[[], None], axis: DryveRailAxis, until: Any) -> None:
+    """Stop the driver while the drive moves on."""
+    mover = asyncio.create_task(until(lambda: False, step))
+    await axis.stop()
+    mover.cancel()
+
+
 class Bench:
     """Driver and drive with a manual clock; the drive's own watchdog never triggers."""
 
@@ -101,9 +133,7 @@ class Bench:
         self.drive.move()
 
     async def stop(self) -> None:
-        mover = asyncio.create_task(self._until(lambda: False, self.step))
-        await self.axis.stop()
-        mover.cancel()
+        await stop_while(self.step, self.axis, self._until)
 
     async def write_until(self, condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
         def each() -> None:

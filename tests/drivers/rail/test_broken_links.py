@@ -1,22 +1,22 @@
 """A rail connection with bad answers: it begins and ends with a stop, and tolerates one bad answer in motion."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.dryve import ModbusRequest
+from tests.drivers.rail.conftest import Answer, refused
 
 pytestmark = pytest.mark.anyio
 STOP = ("60ff", bytes(4))
-BAD_ANSWERS = {
-    "refused": lambda t: dryve.encode_abort(t, 0x08000022),
-    "busy": lambda t: dryve.encode_exception(t, 6),
-    "garbled": lambda t: bytes.fromhex("ffffffffffffffffff"),
-    "another's": lambda t: (t ^ 0x5500).to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
-    "cut short": lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
-    "none": lambda t: b"",
+BAD_ANSWERS: dict[str, Answer] = {
+    "refused": refused,
+    "busy": lambda request: dryve.encode_exception(request.transaction, 6),
+    "garbled": lambda request: bytes.fromhex("ffffffffffffffffff"),
+    "another's": lambda request: (request.transaction ^ 0x5500).to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "cut short": lambda request: request.transaction.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "none": lambda request: b"",
 }
 
 
@@ -29,7 +29,7 @@ async def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(open
     async with opened(timeout_s=0.2) as bench:
         bench.faults.start("rail_keeps_going")
         await bench.enable()
-        bench.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+        bench.drive.spoil(BAD_ANSWERS[kind])
         await bench.write_until(lambda: len(bench.drive.links) > 3, True, 0.3)
         assert [ends(link) for link in bench.drive.links[:3]] == [(STOP, STOP)] * 3
         bench.drive.script = None
@@ -42,41 +42,28 @@ async def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, unti
 
 
 @pytest.mark.parametrize(
-    ("kind", "index"),
-    [*((kind, 0x6041) for kind in BAD_ANSWERS), ("refused", 0x60FF), ("none", 0x60FF), ("busy", 0x6064)],
+    ("kind", "entry"),
+    [
+        *((kind, dryve.STATUSWORD) for kind in BAD_ANSWERS),
+        *((kind, dryve.TARGET_VELOCITY) for kind in ("refused", "none")),
+        ("busy", dryve.POSITION),
+    ],
 )
-async def test_one_bad_answer_does_not_end_a_connection_in_motion(opened: Any, kind: str, index: int) -> None:
-    async with opened(timeout_s=1.0) as bench:
-        await bench.enable(0.3)
-        spoilt: list[int] = []
-
-        def spoil(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if int.from_bytes(telegram[12:14], "big") == index and not spoilt:
-                spoilt.append(index)
-                return BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
-            return answer()
-
-        bench.drive.script = spoil
-        await bench.write_until(lambda: spoilt, True, 0.4)
-        await bench.write_until(lambda: bench.axis.read().velocity_m_s == 0.4, True, 0.4)
-        assert len(bench.drive.links) == 1
-        assert bench.axis.read().enabled
-        assert bench.axis.problem() is None
+async def test_one_bad_answer_does_not_end_a_connection_in_motion(bench: Any, kind: str, entry: dryve.Entry) -> None:
+    await bench.enable(0.3)
+    spoilt = bench.drive.spoil(BAD_ANSWERS[kind], entry, times=1)
+    await bench.write_until(lambda: spoilt, True, 0.4)
+    await bench.write_until(lambda: bench.axis.read().velocity_m_s == 0.4, True, 0.4)
+    assert len(bench.drive.links) == 1
+    assert bench.axis.read().enabled
+    assert bench.axis.problem() is None
 
 
 async def test_a_refused_set_point_is_sent_again_at_once(bench: Any) -> None:
     await bench.enable(0.3)
-    refused: list[int] = []
-
-    def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
-            refused.append(1)
-            return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-        return answer()
-
-    bench.drive.script = refuse
+    spoilt = bench.drive.spoil(refused, dryve.TARGET_VELOCITY, times=1)
     bench.axis.write(True, 0.0)
-    await bench.wait_until(lambda: refused and bench.drive.velocity_m_s == 0.0)
+    await bench.wait_until(lambda: spoilt and bench.drive.velocity_m_s == 0.0)
 
 
 @pytest.mark.slow
@@ -90,13 +77,7 @@ async def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
     bench.faults.start("rail_keeps_going")
     await bench.enable(0.3)
     began = len(bench.drive.requests)
-
-    def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        if len(bench.drive.requests) <= began + storm:
-            return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-        return answer()
-
-    bench.drive.script = refuse
+    bench.drive.spoil(refused, times=storm)
     await bench.write_until(lambda: len(bench.drive.requests) > began + storm, True, 0.3)
     await bench.write_until(lambda: bench.drive.velocity_m_s == 0.0, True, 0.3)
     after = [request for request, _ in bench.drive.requests[began + storm :]]

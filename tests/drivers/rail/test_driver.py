@@ -1,7 +1,6 @@
 """Driver of the rail against a D1 on a TCP port: its requests, their times, and that none is repeated."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -9,10 +8,16 @@ import pytest
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.rail.dryve import ModbusRequest
 from softarm.schemas.config import DryveRail
+from tests.drivers.rail.conftest import Answer
 
 pytestmark = pytest.mark.anyio
 ENABLE = [0x0100, 0x0006, 0x0007, 0x000F]
+
+
+def missing(request: ModbusRequest) -> bytes:
+    return dryve.encode_abort(request.transaction, 0x06020000)
 
 
 async def test_the_drive_is_enabled_once_moves_and_is_read_back(bench: Any) -> None:
@@ -38,11 +43,7 @@ async def test_mode_and_ramps_are_set_before_anything_moves(opened: Any) -> None
 
 
 async def test_a_ramp_that_does_not_read_back_keeps_the_drive_off(bench: Any) -> None:
-    def lie(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        wrong = telegram[9:14] == bytes.fromhex("0000006083")
-        return telegram[:5] + b"\x11" + telegram[6:] + bytes(4) if wrong else answer()
-
-    bench.drive.script = lie
+    bench.drive.spoil(lambda request: dryve.encode_value(request, bytes(4)), dryve.ACCELERATION, data=None)
     await bench.write_until(lambda: bench.axis.read() is not None)
     await bench.write_until(lambda: len(bench.drive.requests) > 60, True, 0.3)
     assert "6083h:0 (profile acceleration) reads 0 after 600000 was written" in bench.axis.problem()
@@ -146,16 +147,8 @@ async def test_a_drive_found_in_operation_is_braked_before_anything_else(opened:
 
 
 async def test_a_missing_answer_ends_the_connection_and_nothing_is_repeated(opened: Any) -> None:
-    lost: list[bytes] = []
-
-    def lose_the_first_switch_on(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        if telegram[9:14].hex() == "0100006040" and telegram[19:21].hex() == "0700" and not lost:
-            lost.append(telegram)
-            return b""
-        return answer()
-
     async with opened(timeout_s=0.05) as bench:
-        bench.drive.script = lose_the_first_switch_on
+        bench.drive.spoil(lambda _: b"", dryve.CONTROLWORD, data=b"\x07\x00", times=1)
         await bench.write_until(lambda: bench.axis.read() is not None)
         problems: list[str] = []
         await bench.write_until(
@@ -171,12 +164,15 @@ async def test_a_missing_answer_ends_the_connection_and_nothing_is_repeated(open
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (lambda t: dryve.encode_abort(t, 0x06020000), "6041h:0 (statusword): the object does not exist"),
-        (lambda t: t.to_bytes(2, "big") + bytes.fromhex("0000ffff"), "3 to 64 bytes are allowed, here 65535"),
+        (missing, "6041h:0 (statusword): the object does not exist"),
+        (
+            lambda request: request.transaction.to_bytes(2, "big") + bytes.fromhex("0000ffff"),
+            "3 to 64 bytes are allowed, here 65535",
+        ),
     ],
 )
-async def test_error_answers_are_reported(bench: Any, answer: Callable[[int], bytes], words: str) -> None:
-    bench.drive.script = lambda telegram, _: answer(int.from_bytes(telegram[:2], "big"))
+async def test_error_answers_are_reported(bench: Any, answer: Answer, words: str) -> None:
+    bench.drive.spoil(answer)
     await bench.wait_until(lambda: words in (bench.axis.problem() or ""))
     assert bench.axis.problem().startswith(f"127.0.0.1:{bench.server.port}: ")
     assert "connecting again" in bench.axis.problem()
@@ -188,11 +184,7 @@ async def test_segmented_answers_are_joined(bench: Any) -> None:
 
 
 async def test_an_invalid_boot_state_is_reported_and_nothing_is_sent(bench: Any) -> None:
-    def invalid(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        whole = answer()
-        return whole[:19] + b"\x04\x27" if telegram[9:14].hex() == "0000006041" else whole
-
-    bench.drive.script = invalid
+    bench.drive.spoil(lambda request: dryve.encode_value(request, b"\x04\x27"), dryve.STATUSWORD)
     await bench.write_until(lambda: bench.axis.read() is not None)
     await bench.write_until(lambda: len(bench.drive.requests) > 60, True, 0.3)
     assert bench.axis.read().faults == ("invalid boot state: power-cycle the drive (statusword 0x2704)",)
@@ -233,12 +225,7 @@ async def test_a_fault_is_reported_and_reset_only_on_request_while_disabled(benc
 
 
 async def test_a_drive_that_cannot_be_enabled_is_reported(bench: Any) -> None:
-    def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        if telegram[9:14].hex() == "0100006040":
-            return dryve.encode_acknowledgement(dryve.decode_request(telegram))
-        return answer()
-
-    bench.drive.script = refuse
+    bench.drive.spoil(dryve.encode_acknowledgement, dryve.CONTROLWORD)
     await bench.write_until(lambda: bench.axis.read() is not None)
     await bench.write_until(lambda: 0x0006 in bench.drive.writes(dryve.CONTROLWORD), True, 0.3)
     await bench.pass_time(2.1, True, 0.3)
@@ -293,14 +280,11 @@ async def test_a_drive_that_loses_its_zero_in_a_fault_is_detected_after_the_rese
 
 @pytest.mark.parametrize(
     "answer",
-    [lambda t: dryve.encode_abort(t, 0x06020000), lambda t: dryve.encode_exception(t, 2), lambda _: b""],
+    [missing, lambda request: dryve.encode_exception(request.transaction, 2), lambda _: b""],
     ids=["abort", "exception", "silence"],
 )
-async def test_a_drive_without_the_homing_status_can_fly(bench: Any, answer: Callable[[int], bytes]) -> None:
-    def without(telegram: bytes, regular: Callable[[], bytes]) -> bytes:
-        return answer(int.from_bytes(telegram[:2], "big")) if telegram[12:14] == b"\x20\x14" else regular()
-
-    bench.drive.script = without
+async def test_a_drive_without_the_homing_status_can_fly(bench: Any, answer: Answer) -> None:
+    bench.drive.spoil(answer, dryve.HOMING_STATUS)
     await bench.enable()
     assert bench.axis.read().homed is None
     assert len(bench.drive.links) == 1
@@ -308,15 +292,7 @@ async def test_a_drive_without_the_homing_status_can_fly(bench: Any, answer: Cal
 
 async def test_one_missing_answer_makes_no_drive_homed(bench: Any) -> None:
     bench.drive.reference.homed = False
-    busy = [True]
-
-    def script(telegram: bytes, regular: Callable[[], bytes]) -> bytes:
-        if telegram[12:14] == b"\x20\x14" and busy:
-            busy.clear()
-            return dryve.encode_exception(int.from_bytes(telegram[:2], "big"), 6)
-        return regular()
-
-    bench.drive.script = script
+    bench.drive.spoil(lambda request: dryve.encode_exception(request.transaction, 6), dryve.HOMING_STATUS, times=1)
     await bench.write_until(lambda: bench.axis.read() is not None and bench.axis.read().homed is False)
     await bench.pass_time(0.3, True, 0.3)
     assert 0x000F not in bench.drive.writes(dryve.CONTROLWORD)

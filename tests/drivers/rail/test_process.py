@@ -23,7 +23,7 @@ from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import SILENT_S, DryveRailAxis, launch
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
-from tests.drivers.rail.conftest import Drive, Server
+from tests.drivers.rail.conftest import Drive, Server, stop_while
 from tests.processes import gone
 
 pytestmark = pytest.mark.anyio
@@ -207,9 +207,7 @@ async def test_stopping_disables_the_drive_and_leaves_no_process_even_if_it_hang
     drive, axis = moving
     process = axis._active.child.pid
     os.kill(process, before)
-    mover = asyncio.create_task(until(lambda: False, drive.move))
-    await axis.stop()
-    mover.cancel()
+    await stop_while(drive.move, axis, until)
     assert is_off(drive)
     assert gone(process)
 
@@ -227,9 +225,7 @@ async def test_stopping_disables_the_drive_after_a_process_was_replaced(moving: 
         assert cause in axis.problem()
         await until(lambda: axis.problem() is None and is_off(drive), lambda: steer(False))
     await until(lambda: drive.target_velocity_m_s, lambda: steer(True))
-    mover = asyncio.create_task(until(lambda: False, drive.move))
-    await axis.stop()
-    mover.cancel()
+    await stop_while(drive.move, axis, until)
     assert is_off(drive)
 
 
@@ -299,9 +295,7 @@ async def test_a_stop_while_a_found_drive_brakes_disables_it(drive: Drive, until
         axis = DryveRailAxis(config, 20)
         axis.start()
         await until(lambda: 0x010F in drive.writes(dryve.CONTROLWORD), drive.move)
-        mover = asyncio.create_task(until(lambda: False, drive.move))
-        await axis.stop()
-        mover.cancel()
+        await stop_while(drive.move, axis, until)
     assert is_off(drive)
 
 

@@ -66,7 +66,6 @@ class TwinWorld(World):
         super().__init__()
         self.drive = RecordingDrive(DryveRail())
         self.server = Server("127.0.0.1", 0, self.drive, Faults(self.clock), self.clock)
-        self.held = False
         self._position_m = 0.0
 
     @property
@@ -83,7 +82,7 @@ class TwinWorld(World):
         self.drive.sense(position_m, 0.0)
 
     def move(self, seconds: float) -> None:
-        speed_m_s = 0.0 if self.held else self.drive.target_velocity_m_s
+        speed_m_s = self.drive.target_velocity_m_s
         self.speeds_m_s.append(speed_m_s)
         self._position_m += speed_m_s * seconds
         if abs(self._position_m) > RAIL_TRAVEL_M and self.drive.state is not DriveState.FAULT:

@@ -1,6 +1,5 @@
 """Homing over real TCP: the twin's drive, and one written from docs/reference/wires.md alone."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -8,13 +7,10 @@ import pytest
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
+from tests.drivers.rail.conftest import refused
 from tests.drivers.wires_page import vectors
 
 START, HALT, OFF = 0x001F, 0x010F, 0x0006
-
-
-def refused(transaction: bytes) -> bytes:
-    return dryve.encode_abort(int.from_bytes(transaction[:2], "big"), 0x08000022)
 
 
 def test_the_simulated_drive_is_homed_slowly_and_left_disabled(twin: Any) -> None:
@@ -62,25 +58,17 @@ def test_a_stop_request_brakes_and_disables(twin: Any) -> None:
 @pytest.mark.parametrize(
     ("happens", "says"),
     [
-        (lambda w: w.drive.trip(0x8611), "E11 following error"),
-        (lambda w: setattr(w, "held", True), "not moved for 3 s"),
+        (lambda drive: drive.trip(0x8611), "E11 following error"),
+        (lambda drive: drive.reference.begin(0), "homing failed"),
     ],
 )
 def test_a_failure_is_reported_and_the_drive_is_disabled(twin: Any, happens: Any, says: str) -> None:
     twin.drive.power_cycle()
-    twin.at.append(lambda: twin.drive.reference.searching and twin.position_m < -0.01 and (happens(twin) or True))
+    twin.at.append(lambda: twin.drive.reference.searching and twin.position_m < -0.01 and (happens(twin.drive) or True))
     with twin.session() as session, pytest.raises(DeviceError, match=says):
         session.home(0.05, 0.01)
     assert not twin.drive.in_operation
     assert set(twin.words[twin.words.index(START) + 1 :]) <= {HALT, OFF}
-
-
-def test_a_failed_homing_is_reported(twin: Any) -> None:
-    begin = twin.drive.reference.begin
-    twin.drive.reference.begin = lambda speed: begin(0)
-    with twin.session() as session, pytest.raises(DeviceError, match="homing failed"):
-        session.home(0.05, 0.01)
-    assert twin.words[-2:] == [HALT, OFF]
 
 
 def test_a_drive_that_is_not_homed_after_its_search_is_an_error(twin: Any) -> None:
@@ -103,12 +91,7 @@ def test_a_drive_in_operation_is_reported_and_disabled(twin: Any) -> None:
 
 
 def test_a_speed_that_the_drive_does_not_accept_moves_nothing(twin: Any) -> None:
-    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        if telegram[12:15] == b"\x60\x99\x01" and not telegram[9]:
-            return dryve.encode_value(dryve.decode_request(telegram), bytes(4))
-        return answer()
-
-    twin.drive.script = script
+    twin.drive.spoil(lambda request: dryve.encode_value(request, bytes(4)), dryve.HOMING_SPEED, data=None)
     with (
         twin.session() as session,
         pytest.raises(DeviceError, match=r"6099h:1.*reads 0 after 5000 was written.*nothing moved"),
@@ -122,15 +105,14 @@ def test_one_bad_answer_is_tolerated_and_two_brake_on_a_new_connection(twin: Any
         twin.put(0.0)
         twin.drive.power_cycle()
         since = len(twin.words)
-        left = [bad]
 
-        def script(telegram: bytes, answer: Callable[[], bytes], left: list[int] = left) -> bytes:
-            if twin.position_m < -0.01 and telegram[12:14] == b"\x60\x41" and left[0]:
-                left[0] -= 1
-                return refused(telegram)
-            return answer()
+        def spoil(times: int = bad) -> bool:
+            moves = twin.position_m < -0.01
+            if moves:
+                twin.drive.spoil(refused, dryve.STATUSWORD, times=times)
+            return bool(moves)
 
-        twin.drive.script = script
+        twin.at.append(spoil)
         with twin.session() as session:
             if says is None:
                 session.home(0.05, 0.01)
@@ -164,10 +146,7 @@ def test_a_drive_that_keeps_moving_is_stopped_when_the_connection_breaks(twin: A
 
 
 def test_a_refused_start_is_not_repeated(twin: Any) -> None:
-    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        return refused(telegram) if telegram[12:14] == b"\x60\x40" and telegram[19:] == b"\x1f\x00" else answer()
-
-    twin.drive.script = script
+    twin.drive.spoil(refused, dryve.CONTROLWORD, data=b"\x1f\x00")
     with twin.session() as session, pytest.raises(DeviceError, match="refused in the drive's present state"):
         session.home(0.05, 0.01)
     assert twin.words.count(START) == 1
@@ -176,8 +155,7 @@ def test_a_refused_start_is_not_repeated(twin: Any) -> None:
 
 
 def test_a_drive_may_report_neither_method_nor_status(twin: Any) -> None:
-    objects = (b"\x60\x98", b"\x20\x14")
-    twin.drive.script = lambda telegram, answer: refused(telegram) if telegram[12:14] in objects else answer()
+    twin.drive.spoil(refused, dryve.HOMING_METHOD, dryve.HOMING_STATUS)
     twin.drive.power_cycle()
     with twin.session() as session:
         assert (session.method(), session.homed()) == (None, None)
