@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softarm.common import batch, cluster
@@ -93,8 +93,8 @@ def test_a_restart_runs_exactly_the_missing_jobs_and_gives_the_same(tmp_path_fac
 
 
 @given(st.lists(st.integers(-2, 5), max_size=6))
-@settings(max_examples=30, deadline=None)
-def test_results_have_the_order_of_the_jobs_and_a_failure_stops_no_other(monkeypatch_ray, numbers):
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_results_have_the_order_of_the_jobs_and_a_failure_stops_no_other(ray, numbers):
     todo = {f"job {k}": number for k, number in enumerate(numbers)}
     here, there = (batch.run("squaring", squared, todo, place) for place in (HERE, FAKE))
     assert here.results == there.results == {k: squared(n) for k, n in todo.items() if n >= 0}
@@ -107,14 +107,6 @@ def test_results_have_the_order_of_the_jobs_and_a_failure_stops_no_other(monkeyp
         with pytest.raises(batch.JobsFailed, match=f"{len(here.failures)} of {len(todo)} jobs failed:\njob") as caught:
             here.complete()
         assert all("in squared" in note for note in caught.value.__notes__)
-
-
-@pytest.fixture(scope="module")
-def monkeypatch_ray():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "ray", FakeRay())
-        patch.setattr(cluster, "_end_with", lambda parent: None)
-        yield
 
 
 def test_other_processes_give_the_same(monkeypatch):

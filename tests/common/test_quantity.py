@@ -18,11 +18,7 @@ ONE_TO_TWO = {unit: Quantity(unit=unit, low=1.0, high=2.0) for unit in UNITS}
     ("allowed", "value", "said"),
     [
         (METRES, 250, "is 250; allowed -0.3 to 0.3 m; if you meant 250 mm, write 0.25"),
-        (
-            Quantity(unit="s", low=0, high=0.2),
-            "33 ms",
-            "is '33 ms'; allowed 0 to 0.2 s; write a bare number in s: 0.033",
-        ),
+        (SECONDS, "33 ms", "is '33 ms'; allowed 0 to 0.2 s; write a bare number in s: 0.033"),
         (SECONDS, "33 m", "is '33 m'; allowed 0 to 0.2 s; write a bare number in s"),
         (SECONDS, "soon", "is 'soon'; allowed 0 to 0.2 s; write a bare number in s"),
         (Quantity(low=0, high=1), "50 %", "is '50 %'; allowed 0 to 1; write a bare number: 0.5"),

@@ -203,17 +203,12 @@ def test_the_outputs_are_updated_on_a_flooded_line(teensy: Teensy) -> None:
 # The mapping
 
 
-@pytest.mark.parametrize(
-    ("vacuum", "kpa", "volts"),
-    [(True, 0.0, 5.0), (True, -0.7, 4.965), (True, 20.0, 6.0), (False, 0.0, 0.0), (False, -0.7, 0.0), (False, 20, 1.0)],
-)
-def test_each_valve_receives_its_own_voltage(library: ctypes.CDLL, vacuum: bool, kpa: float, volts: float) -> None:
-    assert library.board_output(vacuum, True, kpa) / 4095 * 10 == pytest.approx(volts, abs=10 / 4095)
-
-
-@pytest.mark.parametrize(("vacuum", "volts"), [(True, 5.0), (False, 0.0)])
-def test_vent_is_a_voltage_of_the_valve_and_not_zero(library: ctypes.CDLL, vacuum: bool, volts: float) -> None:
-    assert library.board_output(vacuum, False, 20.0) / 4095 * 10 == pytest.approx(volts, abs=10 / 4095)
+@pytest.mark.parametrize(("vacuum", "vent", "low", "high"), [(True, 5.0, 4.965, 6.0), (False, 0.0, 0.0, 1.0)])
+def test_each_valve_receives_its_own_voltage_also_to_vent(
+    library: ctypes.CDLL, vacuum: bool, vent: float, low: float, high: float
+) -> None:
+    for armed, kpa, volts in ((True, 0.0, vent), (True, -0.7, low), (True, 20.0, high), (False, 20.0, vent)):
+        assert library.board_output(vacuum, armed, kpa) / 4095 * 10 == pytest.approx(volts, abs=10 / 4095)
 
 
 def test_no_count_of_the_dac_exceeds_the_range_of_board_h(library: ctypes.CDLL) -> None:

@@ -174,16 +174,12 @@ class TestEstimate:
         return np.array(tips), np.array(angles)
 
     @pytest.mark.parametrize("seed", range(2))
-    def test_with_the_true_model_the_estimator_finds_the_hidden_state(self, seed):
-        tips, angles = self.follow(0.0, seed)
-        assert tips.max() < 2e-3
-        assert angles[10:].max() < np.radians(0.5)
-
-    @pytest.mark.parametrize("seed", range(2))
-    def test_camera_noise_stays_small_in_the_estimate(self, seed):
-        tips, angles = self.follow(0.5e-3, seed)
-        assert tips.max() < 3e-3
-        assert angles[10:].max() < np.radians(3.0)
+    @pytest.mark.parametrize(("noise_m", "tip_m", "angle_deg"), [(0.0, 2e-3, 0.5), (0.5e-3, 3e-3, 3.0)])
+    def test_the_estimator_finds_the_hidden_state_despite_camera_noise(self, seed, noise_m, tip_m, angle_deg):
+        """The model is that of the robot."""
+        tips, angles = self.follow(noise_m, seed)
+        assert tips.max() < tip_m
+        assert angles[10:].max() < np.radians(angle_deg)
 
     def test_a_repeated_frame_does_not_change_the_estimate(self):
         estimator = Estimator(Model(), 1 / 30)

@@ -2,7 +2,6 @@
 
 import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from softarm.policies.base import PolicySpec
 from softarm.policies.runner import InlineRunner, PolicyRunner, ThreadRunner
+from tests.processes import until
 
 OBSERVATION = np.arange(8, dtype=np.float32)
 GOAL = np.array([-0.2, 0.6], dtype=np.float32)
@@ -27,21 +27,13 @@ class Scripted:
         self.step, self.reset = step, reset
 
 
-def inline(policy):
-    return InlineRunner(policy)
-
-
-def threaded(policy):
-    return ThreadRunner(policy, AMPLE_S)
-
-
-@pytest.fixture(params=[inline, threaded])
+@pytest.fixture(params=[InlineRunner, ThreadRunner])
 def run(request):
     """Make a runner of either kind; it is closed afterwards."""
     runners = []
 
     def make(*args, **kwargs):
-        runners.append(request.param(Scripted(*args, **kwargs)))
+        runners.append(request.param(Scripted(*args, **kwargs), AMPLE_S))
         return runners[-1]
 
     yield make
@@ -120,22 +112,17 @@ def test_policy_and_caller_get_copies(run):
     np.testing.assert_array_equal(action, [0, 0])
 
 
-def test_reset_runs_before_the_first_step_and_once_per_request(run):
+@pytest.mark.parametrize("early", [False, True])
+def test_reset_runs_before_the_first_step_and_once_per_request(run, early):
     calls = []
     runner = run(lambda o, g: calls.append("step") or o[:2], lambda: calls.append("reset"))
+    if early:
+        runner.reset()
     runner.step(OBSERVATION, GOAL)
     runner.step(OBSERVATION, GOAL)
     runner.reset()
     runner.step(OBSERVATION, GOAL)
     assert calls == ["reset", "step", "step", "reset", "step"]
-
-
-def test_a_requested_reset_before_the_first_step_runs_once(run):
-    calls = []
-    runner = run(lambda o, g: calls.append("step") or o[:2], lambda: calls.append("reset"))
-    runner.reset()
-    runner.step(OBSERVATION, GOAL)
-    assert calls == ["reset", "step"]
 
 
 def interrupted(observation, goal):
@@ -182,27 +169,20 @@ class Slow:
         return np.array([observation[0], self.steps], dtype=np.float32)
 
 
-def until(condition):
-    """Poll for what another thread will do; a test that waits in vain fails by the suite's time limit."""
-    while not (value := condition()):
-        time.sleep(0.001)
-    return value
-
-
 def test_a_late_policy_is_abandoned_and_its_stale_action_discarded():
     policy = Slow()
     runner = ThreadRunner(policy, budget_s=0.2)
     outcome = runner.step(OBSERVATION, GOAL)
     assert outcome.action is None
     assert outcome.fault.startswith("late: policy 'slow' has not answered for ")
-    assert outcome.fault.endswith("its budget is 200 ms")
     assert outcome.duration_ns >= 200e6
     again = [runner.step(OBSERVATION, GOAL) for _ in range(50)]  # the old step still runs
     assert all(each.fault.startswith("late: ") for each in again)
     assert sum(each.duration_ns for each in again) < 50 * 200e6  # a step that waited would take its budget
     policy.let_go.release(100)
-    outcome = until(lambda: (o := runner.step(OBSERVATION + 5, GOAL)).fault is None and o)
-    assert outcome.action[0] == 5  # of the new observation: the late answer, for 0, is gone
+    outcomes = []
+    until(lambda: outcomes.append(runner.step(OBSERVATION + 5, GOAL)) or outcomes[-1].fault is None)
+    assert outcomes[-1].action[0] == 5  # of the new observation: the late answer, for 0, is gone
     for _ in range(3):
         assert runner.step(OBSERVATION, GOAL).fault is None  # and the policy is not held to be late any more
     runner.close()
