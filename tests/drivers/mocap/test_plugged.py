@@ -177,14 +177,10 @@ MINE = """
 """
 
 
-def configured(driver: str, **options: Any) -> Mocap:
-    return Mocap(driver=driver, options=options)
-
-
 def test_the_daemon_uses_the_source_in_its_configuration(install: Any) -> None:
     install("theirs", MINE, "softarm.mocap_sources", mine="Mine")
     assert plugged.names() == ("zenoh", "mine")
-    device = motion_capture(configured("mine", port=7))
+    device = motion_capture(Mocap(driver="mine", options={"port": 7}))
     assert isinstance(device, PluggedMocapSource)
     assert isinstance(device._source, Source)
     assert device._source.port == 7
@@ -205,9 +201,9 @@ def test_an_unusable_source_is_reported_at_the_start(
 ) -> None:
     install("theirs", MINE, "softarm.mocap_sources", mine="Mine", newer="Newer", mute="Mute", broken="Broken")
     with pytest.raises(PluginError, match=rf"drivers.mocap.driver '{driver}': .*{text}"):
-        motion_capture(configured(driver, **options))
+        motion_capture(Mocap(driver=driver, options=options))
 
 
 def test_options_without_a_plugin_are_refused() -> None:
     with pytest.raises(ValueError, match="options port are a plugin's: name it as driver, or remove them"):
-        configured("zenoh", port=1)
+        Mocap(driver="zenoh", options={"port": 1})

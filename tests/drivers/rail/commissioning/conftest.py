@@ -25,7 +25,7 @@ FINE_S = 0.001
 
 
 class World:
-    """Clock and cart of a test; the tool waits by `pause`.
+    """Clock and cart of a test; the tool waits by `pause`. A subclass has `position_m` and `move(seconds)`.
 
     The functions in `at` are called as time passes, until they return True.
     """
@@ -45,13 +45,6 @@ class World:
             self.move(FINE_S)
             self.at = [each for each in self.at if not each()]
 
-    def move(self, seconds: float) -> None:
-        raise NotImplementedError
-
-    @property
-    def position_m(self) -> float:
-        raise NotImplementedError
-
     def settings(self, **changes: Any) -> Settings:
         return settings_of(DryveRail(host="127.0.0.1", port=self.port, timeout_s=1.0))._replace(**changes)
 
@@ -66,28 +59,24 @@ class TwinWorld(World):
         super().__init__()
         self.drive = RecordingDrive(DryveRail())
         self.server = Server("127.0.0.1", 0, self.drive, Faults(self.clock), self.clock)
-        self._position_m = 0.0
+        self.position_m = 0.0
 
     @property
     def words(self) -> list[int]:
         """Return all controlwords."""
         return self.drive.writes(dryve.CONTROLWORD)
 
-    @property
-    def position_m(self) -> float:
-        return self._position_m
-
     def put(self, position_m: float) -> None:
-        self._position_m = position_m
+        self.position_m = position_m
         self.drive.sense(position_m, 0.0)
 
     def move(self, seconds: float) -> None:
         speed_m_s = self.drive.target_velocity_m_s
         self.speeds_m_s.append(speed_m_s)
-        self._position_m += speed_m_s * seconds
-        if abs(self._position_m) > RAIL_TRAVEL_M and self.drive.state is not DriveState.FAULT:
+        self.position_m += speed_m_s * seconds
+        if abs(self.position_m) > RAIL_TRAVEL_M and self.drive.state is not DriveState.FAULT:
             self.drive.trip(LIMIT_SWITCH)
-        self.drive.sense(self._position_m, speed_m_s)
+        self.drive.sense(self.position_m, speed_m_s)
 
 
 class OutsideWorld(World):
