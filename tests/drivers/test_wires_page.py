@@ -189,15 +189,15 @@ class Exchange:
         return number(value) if is_write else None
 
 
-SESSION = [
-    Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
-    for says, request, answers, answer in vectors("rail.csv")
-]
+def exchanges(name: str) -> list[Exchange]:
+    return [
+        Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
+        for says, request, answers, answer in vectors(name)
+    ]
+
+
+SESSION = exchanges("rail.csv")
 EXCHANGES = [row for row in SESSION if row.request]
-REFUSED = [
-    Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
-    for says, request, answers, answer in vectors("rail-refused.csv")
-]
 
 
 @pytest.mark.parametrize("row", EXCHANGES)
@@ -215,7 +215,7 @@ def test_telegrams_of_the_session_survive_encoding(row: Exchange) -> None:
         assert dryve.encode_value(request, value.to_bytes(entry.size, "little", signed=entry.signed)) == row.answer
 
 
-@pytest.mark.parametrize("row", REFUSED)
+@pytest.mark.parametrize("row", exchanges("rail-refused.csv"))
 def test_refusals_survive_encoding(row: Exchange) -> None:
     kind, code = row.answers.split()[:2]
     made = dryve.encode_abort if kind == "abort" else dryve.encode_exception

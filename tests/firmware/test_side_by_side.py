@@ -42,25 +42,21 @@ class Three:
     def __init__(self, make_board: Callable[..., Any], now_us: int, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_us = now_us
         self.sequence, self.token = 0, 0
-        self.board = make_board(self._source(self._drawn))
-        self.twin = TeensyDevice(self._source(lambda _: None))
+        self.board = make_board(self._source())
+        self.twin = TeensyDevice(self._source())
         self.outside = outside.Firmware()
-        draw = self._source(lambda _: None)
+        draw = self._source()
         monkeypatch.setattr(outside.os, "urandom", lambda _: draw().to_bytes(4, "little"))
         self._pending = b""
         self.watch()
 
-    def _drawn(self, token: int) -> None:
-        self.token = token
-
-    @staticmethod
-    def _source(drawn: Callable[[int], None]) -> Callable[[], int]:
+    def _source(self) -> Callable[[], int]:
+        """Return the source of a device's tokens, which are the same for all devices."""
         count = itertools.count(1)
 
         def draw() -> int:
-            token = next(count) * 0x9E3779B1 % 2**32
-            drawn(token)
-            return token
+            self.token = next(count) * 0x9E3779B1 % 2**32
+            return self.token
 
         return draw
 

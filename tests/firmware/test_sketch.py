@@ -103,19 +103,15 @@ class Teensy:
         self.sketch.clock_set(self.now_us)
         self.sketch.sketch_loop()
 
-    def answers(self) -> list[Any]:
+    def say(self, message: Any) -> list[Any]:
+        """Send a message and return the answers."""
+        self.sequence += 1
+        data = frame(encode(message, self.sequence, 0))
+        self.sketch.line_say(data, len(data))
+        self.loop()
         received = ctypes.create_string_buffer(4096)
         length = self.sketch.line_hear(received)
         return [decode(body)[0] for body in self._deframer.feed(received.raw[:length])]
-
-    def say(self, *messages: Any) -> list[Any]:
-        data = b""
-        for message in messages:
-            self.sequence += 1
-            data += frame(encode(message, self.sequence, 0))
-        self.sketch.line_say(data, len(data))
-        self.loop()
-        return self.answers()
 
     def command(self, armed: bool, kpa: float = 5.0) -> RegulatorState:
         [answer] = self.say(RegulatorCommand(self.token, 0.1, armed, kpa))

@@ -108,12 +108,6 @@ def test_an_invalid_gain_is_refused(file, name):
             Trajectory(str(file), **{name: bad})
 
 
-def broken(file, **changed):
-    with np.load(file) as opened:
-        content = {name: opened[name] for name in opened.files}
-    np.savez(file, **{name: value for name, value in (content | changed).items() if value is not None})
-
-
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -130,7 +124,9 @@ def broken(file, **changed):
     ],
 )
 def test_an_invalid_file_of_plans_is_refused(file, changed, said):
-    broken(file, **changed)
+    with np.load(file) as opened:
+        content = {name: opened[name] for name in opened.files}
+    np.savez(file, **{name: value for name, value in (content | changed).items() if value is not None})
     with pytest.raises(PolicyError, match=said) as refused:
         Trajectory(str(file))
     assert "softarm dev plan" in str(refused.value)

@@ -8,7 +8,7 @@ import pytest
 
 from softarm.drivers.bridge.bridging import Bridging, NullOutlet, Publisher, look_at
 from softarm.drivers.bridge.client import Client
-from softarm.drivers.bridge.conversation import Conversation
+from softarm.drivers.bridge.conversation import Conversation, StampedFrame
 from softarm.drivers.bridge.frame import Plane
 from softarm.drivers.bridge.natnet import Frame
 from softarm.drivers.mocap.driver import ZenohMocapSource
@@ -136,8 +136,6 @@ class Scripted:
         self.other_senders, self.clock, self.sent, self.poses, self.number = 0, clock, None, dict(POSES), 0
 
     def poll(self, seconds: float) -> list[Any]:
-        from softarm.drivers.bridge.conversation import StampedFrame
-
         self.number += 1
         self.conversation.counts.frames += 1
         frame = Frame(self.number, bodies_of(Plane(ROOM), self.poses), 1, 1, 1, 0)
