@@ -1,13 +1,14 @@
 """Actuators of a MuJoCo model, and the joints that they move."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.rigs.mjcf.closure import Closure
+from softarm.diagnosis.rigs.mjcf.activation import Activation, Strength, moments_of
+from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 
 # Share of an actuator's largest moment below which it moves no joint, and of a moment that changes with position.
 MOVES = 1e-6
@@ -16,6 +17,8 @@ MOVES = 1e-6
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """Affine actuator as one joint feels it: joint torque = scale command + offset - kp position - kd speed, clipped.
+
+    The scale of an actuator with another law, such as a muscle, is 0.
 
     Units are those of the joint's torque (N m or N) and position (rad or m). An actuator on a tendon over several
     joints feels the others as well: kp position becomes kp (position + along / gear), where `along` is its length by
@@ -36,9 +39,12 @@ class Actuator:
     gear: float = 1.0  # joint torque per torque of the actuator, and actuator's length per position
     own_gear: float = 1.0  # attribute `gear`; the rest of the gear is that of a tendon or an equality
     joint_limited: bool = False  # by `actuatorfrcrange` of its joint, besides its own range
+    settles_s: float = 0.0  # time in which an unknown activation at the start of a recording fades
+    peak: float = 0.0  # largest active force of a muscle, N
     others: Mapping[str, float] = field(default_factory=dict)  # other joint that it moves -> length per position
     # Of several actuators at one joint, such as an antagonistic pair: each by its name. Their sum has a scale of one.
     shares: Mapping[str, "Actuator"] = field(default_factory=dict)
+    by_motion: bool = False  # strengths of `shares` change with the motion; see `Activation`
 
     def sent(self, command: Callable[[str], Array]) -> Array:
         """Return the command within its range at each sample, [T]; of several actuators the sum of their torques.
@@ -66,6 +72,7 @@ class Actuators:
     def __init__(self, mujoco: Any, model: Any, closure: Closure, name_of: Callable[[str, int], str]) -> None:
         """Find which independent degrees of freedom each actuator moves; name_of("joint", number) returns a name."""
         self._mujoco, self._model, self._name_of = mujoco, model, name_of
+        self._activation = Activation(mujoco, model)
         self._zero = closure.zero()
         self._moments, self._lengths = self._transmission(closure, self._zero)
         self._elsewhere, _ = self._transmission(closure, closure.away)
@@ -78,34 +85,44 @@ class Actuators:
         joint = self._name_of("joint", number)
         if not own:
             return None, ""
-        names = ", ".join(self._name_of("actuator", i) for i in own)
+        found = [self._read(i, dof, number) for i in own]
         instead = f"give its torque under `torque`, as {joint}"
-        if not all(self._is_affine(i) and self._is_linear(i) for i in own):
+        if all(self._is_affine(i) and self._is_linear(i) for i in own):
+            if len(found) == 1:
+                return found[0], ""
+            if all(_may_share(each, found[0]) for each in found):
+                return _joined(found), ""
+        if dotted := [each.name for each in found if "." in each.name]:
             return None, (
-                f"joint {joint} is moved by {names}, which is neither a motor, position, velocity nor general actuator "
-                "of a joint, or of a tendon with constant ratios to its joints, with fixed gain and affine bias; write "
-                f"it as one of these, or {instead}"
+                f"joint {joint} is moved by {dotted[0]}: its name holds a dot, which separates the parts of an "
+                f"effect's name; rename the actuator in the model and the column, or {instead}"
             )
-        first, *others = (self._read(i, dof, number) for i in own)
-        if not others:
-            return first, ""
-        if all(_may_share(each, first) for each in (first, *others)):
-            return _joined((first, *others)), ""
-        return None, (
-            f"joint {joint} has {len(own)} actuators ({names}); several are allowed without position or velocity "
-            f"loops, with one time constant and without a force range behind it; join them, or {instead}"
-        )
+        if not all(map(self._activation.knows, own)):
+            names = ", ".join(each.name for each in found)
+            return None, (
+                f"joint {joint} is moved by {names}; several actuators, and those whose strength changes with the "
+                "motion, are allowed with a fixed, affine or muscle's gain and bias, with a filter's or a muscle's "
+                f"activation, and without a force range; write them so, or {instead}"
+            )
+        return _by_motion(found, *self._joint_range(number)), ""
+
+    def activation(self, name: str, command: Array, step_s: float) -> Array:
+        """Return the activation of an actuator at each sample, [T]; see `Activation.of`."""
+        return self._activation.of(self._number(name), command, step_s)
+
+    def strengths(self, names: Iterable[str], motion: State) -> list[Strength]:
+        """Return the strengths of some actuators about one joint; see `Activation.strengths`."""
+        return self._activation.strengths([*map(self._number, names)], motion)
+
+    def _number(self, name: str) -> int:
+        return next(i for i in range(self._model.nu) if self._name_of("actuator", i) == name)
 
     def _transmission(self, closure: Closure, position: Array) -> tuple[Array, Array]:
         """Return moments about the independent degrees of freedom [nu, nv] and lengths [nu] at a position."""
         mujoco, model, data = self._mujoco, self._model, self._mujoco.MjData(self._model)
         data.qpos[:] = position
         mujoco.mj_forward(model, data)
-        moments = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel()
-        )
-        return moments @ closure.ratios(position), np.array(data.actuator_length)
+        return moments_of(mujoco, model, data) @ closure.ratios(position), np.array(data.actuator_length)
 
     def _moves(self, i: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Return which degrees of freedom an actuator moves, [nv]."""
@@ -133,16 +150,15 @@ class Actuators:
         m, mujoco = self._model, self._mujoco
         gear, own_gear = float(self._moments[i, dof]), float(m.actuator_gear[i, 0])
         bias = m.actuator_biasprm[i] * (m.actuator_biastype[i] != int(mujoco.mjtBias.mjBIAS_NONE))
-        low, high = -np.inf, np.inf
+        low, high = self._joint_range(number)
         if m.actuator_forcelimited[i]:
-            low, high = sorted(gear * float(x) for x in m.actuator_forcerange[i])
-        if m.jnt_actfrclimited[number]:
-            low, high = max(low, float(m.jnt_actfrcrange[number, 0])), min(high, float(m.jnt_actfrcrange[number, 1]))
+            least, most = sorted(gear * float(x) for x in m.actuator_forcerange[i])
+            low, high = max(low, least), min(high, most)
         ctrl = m.actuator_ctrlrange[i] if m.actuator_ctrllimited[i] else (-np.inf, np.inf)
         delay = getattr(m, "actuator_delay", None)
         return Actuator(
             name=self._name_of("actuator", i),
-            scale=gear * float(m.actuator_gainprm[i, 0]),
+            scale=gear * float(m.actuator_gainprm[i, 0]) * self._is_affine(i),
             offset=gear * float(bias[0]),
             kp=-gear * gear * float(bias[1]),
             kd=-gear * gear * float(bias[2]),
@@ -155,12 +171,20 @@ class Actuators:
             gear=gear,
             own_gear=own_gear,
             joint_limited=bool(m.jnt_actfrclimited[number]),
+            settles_s=self._activation.settles_s(i),
+            peak=self._activation.peak(i),
             others={
                 self._name_of("joint", int(m.dof_jntid[other])): float(self._moments[i, other])
                 for other in np.flatnonzero(self._moves(i))
                 if other != dof
             },
         )
+
+    def _joint_range(self, number: int) -> tuple[float, float]:
+        """Return the lowest and the highest torque of all actuators at a joint."""
+        m = self._model
+        low, high = m.jnt_actfrcrange[number] if m.jnt_actfrclimited[number] else (-np.inf, np.inf)
+        return float(low), float(high)
 
 
 def _may_share(actuator: Actuator, first: Actuator) -> bool:
@@ -181,6 +205,13 @@ def _joined(actuators: Sequence[Actuator]) -> Actuator:
         " and ".join(each.name for each in actuators),
         lag_s=first.lag_s,
         delay_s=first.delay_s,
+        settles_s=first.settles_s,
         others={name: ratio for each in actuators for name, ratio in each.others.items()},
         shares={each.name: each for each in actuators},
     )
+
+
+def _by_motion(actuators: Sequence[Actuator], low: float, high: float) -> Actuator:
+    """Return the sum of actuators whose strengths change with the motion; low, high: range of their torque."""
+    slowest_s = max(each.settles_s for each in actuators)
+    return replace(_joined(actuators), lag_s=0.0, delay_s=0.0, low=low, high=high, settles_s=slowest_s, by_motion=True)

@@ -1,19 +1,21 @@
 """Inputs of a joint's actuator in its recordings: commands, and the motion of other joints that it moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.data.trials import Series, Trial, TrialError
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_integral, held_means
 from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.activation import Strength
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
+from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.motion import Motion
 
-# Time in which the unknown state of an actuator at the start of a recording fades, in its time constants.
-SETTLES = 4.0
+# Time for which the first and the last input hold beyond a recording, s.
+MARGIN_S = 10.0
 
 
 def columns(trials: Sequence[Trial]) -> tuple[set[str], set[str]]:
@@ -28,7 +30,8 @@ class Drive:
     Attributes:
         actuator: the actuator, or None for a joint that nothing drives. Then there are no inputs.
         inputs: stamps and integral of each trial's command within its range.
-        shares: the same of each of several actuators, by name.
+        shares: the same of each of several actuators, by name; activations if their strengths change with the motion.
+        strengths: then these strengths, in each trial.
         settled_s: time in each trial from which the unknown state of a slow actuator at its start is forgotten, s.
         lengths: length and speed of the actuator by the other joints that it moves, [T] of each trial. A motor does not
             feel them: then, and without other joints, the list is empty.
@@ -48,23 +51,26 @@ class Drive:
         else:
             _refuse_unusable(joint, trials)
         self.inputs, self.shares = list[tuple[Array, Array]](), dict[str, list[tuple[Array, Array]]]()
+        self.strengths: dict[str, list[Strength]] = {}
         self.settled_s = [-np.inf] * len(trials)
         if actuator := self.actuator:
-            commands = [t.channel(channel) for t in trials]
-            self.inputs = [held_integral(each, actuator.sent(each.__getitem__), 10.0) for each in commands]
-            for name, share in actuator.shares.items():
-                self.shares[name] = [held_integral(each, share.given(each.__getitem__), 10.0) for each in commands]
-            if actuator.lag_s:
-                self.settled_s = [float(each.t_s[0]) + SETTLES * actuator.lag_s for each in commands]
+            self._commands = [t.channel(channel) for t in trials]
+            if actuator.settles_s:
+                self.settled_s = [float(each.t_s[0]) + actuator.settles_s for each in self._commands]
+            if not actuator.by_motion:
+                self.inputs = self._received(actuator.sent)
+                self.shares = {name: self._received(share.given) for name, share in actuator.shares.items()}
 
-    def follow(self, motions: Sequence[Motion], around: Sequence[Mapping[str, tuple[Array, Array, Array]]]) -> None:
-        """Set `lengths` and `sent` by the motion of each trial.
+    def _received(self, signal: Callable[[Callable[[str], Array]], Array]) -> list[tuple[Array, Array]]:
+        """Return stamps and integral of a signal made of the commands of each trial, such as `Actuator.sent`."""
+        return [held_integral(each, signal(each.__getitem__), MARGIN_S) for each in self._commands]
 
-        Args:
-            motions: motion of the joint.
-            around: column -> position, speed and acceleration of other joints, [T] each.
-        """
+    def follow(self, motions: Sequence[Motion], others: OtherJoints) -> None:
+        """Set `lengths` and `sent`, and strengths, by the motion of the joint and of all others in each trial."""
         self._motions, self.lengths = motions, list[tuple[Array, Array]]()
+        if self.actuator is not None and self.actuator.by_motion:
+            self._activate(self.actuator.shares, others)
+        around = others.around
         pairs = zip(self.inputs, motions if self.inputs else (), strict=True)
         self.sent = [
             held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs
@@ -77,6 +83,25 @@ class Drive:
         kp, kd = (each / (actuator.gear * actuator.scale) for each in (actuator.kp, actuator.kd))
         both = zip(self.sent, self.lengths, strict=True)
         self.sent = [command - kp * length - kd * speed for command, (length, speed) in both]
+
+    def _activate(self, actuators: Mapping[str, Actuator], others: OtherJoints) -> None:
+        """Set the inputs of actuators whose strengths change with the motion."""
+        self.shares, self.strengths = {name: [] for name in actuators}, {name: [] for name in actuators}
+        for commands, m, course in zip(self._commands, self._motions, others.courses, strict=True):
+            t_s, step_s = m.grid.t_s, m.grid.step_s
+            around = Series(t_s - 0.5 * step_s, {})  # values hold half a step to either side of their sample
+            total = np.zeros_like(t_s)
+            for (name, each), strength in zip(actuators.items(), others.strengths(actuators, course), strict=True):
+                sent = np.clip(commands[name], each.command_low, each.command_high)
+                stamps, summed = held_integral(commands, sent, MARGIN_S)
+                signal = stamps + each.delay_s, summed
+                if each.settles_s:  # the commands before a sample make its activation
+                    before = held_means(signal, t_s[0] - step_s, step_s, len(t_s))
+                    signal = held_integral(around, others.activation(name, before, step_s), MARGIN_S)
+                total += strength.active * held_means(signal, around.t_s[0], step_s, len(t_s)) + strength.passive
+                self.shares[name].append(signal)
+                self.strengths[name].append(strength)
+            self.inputs.append(held_integral(around, total, MARGIN_S))
 
     def acting(self) -> list[Array]:
         """Return each trial's command after the lag of the actuator, [T]."""

@@ -137,7 +137,7 @@ class Mechanism:
         flags, option = self._mujoco.mjtDisableBit, self._bodies.opt
         option.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
         self._bodies.jnt_actgravcomp[:] = 0  # else carried weight would be left out with the actuation
-        self._actuators = Actuators(self._mujoco, self.model, self._closure, self._name)
+        self.actuators = Actuators(self._mujoco, self.model, self._closure, self._name)
         kinds = (int(self._mujoco.mjtJoint.mjJNT_HINGE), int(self._mujoco.mjtJoint.mjJNT_SLIDE))
         single = [i for i in range(self.model.njnt) if self.model.jnt_type[i] in kinds]
         self.joints: Mapping[str, Joint] = {each.name: each for each in map(self._joint, single)}
@@ -407,7 +407,7 @@ class Mechanism:
     def _joint(self, number: int) -> Joint:
         m, dof = self.model, int(self.model.jnt_dofadr[number])
         ratios = self._ratios[:, dof]
-        actuator, problem = (None, "") if dof in self._closure.dependent else self._actuators.of(dof)
+        actuator, problem = (None, "") if dof in self._closure.dependent else self.actuators.of(dof)
         followers = [int(each) for each in np.flatnonzero(self._follows[:, dof]) if each != dof]
         low, high = m.jnt_range[number] if m.jnt_limited[number] else (-np.inf, np.inf)
         position = int(m.jnt_qposadr[number])

@@ -34,7 +34,7 @@ _JOINT = {
 # Laws of dry friction, and the impedance with which MuJoCo's friction holds a joint; by default it creeps under a load.
 _FRICTION = "coulomb_friction", "stiction", "load_friction"
 _HOLDS = "0.9999 0.9999"
-_ACTUATORS = "position", "velocity", "motor", "general", "cylinder"
+_ACTUATORS = "position", "velocity", "motor", "general", "cylinder", "muscle"
 _DIGITS = 6
 # Remedies for findings that are left out.
 _OTHER = "--patch FILE.yaml writes it"
@@ -164,12 +164,19 @@ def _written(edits: "_Edits", joint: Joint, parameter: str, value: float, found:
 
 
 def _written_to_shares(edits: "_Edits", joint: Joint, parameter: str, value: float) -> bool:
-    """Write a parameter of several actuators of a joint: the gain of one of them, or the lag of all."""
+    """Write a parameter of several actuators of a joint: the gain of one of them, or the lag of all.
+
+    Of actuators whose strengths change with the motion, the file can express the gain of a muscle or a motor.
+    """
     assert joint.actuator is not None
     effect, written = parameter.partition(".")[0], joint.actuator.shares
     if effect.startswith(GAIN_OF):
         written = {name: each for name, each in written.items() if effect == GAIN_OF + name}
         parameter = "gain.scale"
+    if joint.actuator.by_motion:
+        elements = [edits.actuator(each.name, joint.name) for each in written.values()]
+        if parameter != "gain.scale" or any(e is None or e.tag not in ("muscle", "motor") for e in elements):
+            return False
     found = {f"{joint.name}.{parameter}": value}
     done = [_written(edits, replace(joint, actuator=each), parameter, value, found) for each in written.values()]
     return bool(done) and all(done)
@@ -200,6 +207,8 @@ def _gains(tag: str, actuator: Actuator, factor: float, stiff: float) -> dict[st
         return {"kv": _short(kd)}
     if tag == "motor":
         return {"gear": _short(factor * actuator.own_gear)}
+    if tag == "muscle":
+        return {"force": _short(factor * actuator.peak)}
     if tag == "general":
         bias = stiff * actuator.offset / gear, -kp, -kd
         return {"gainprm": _short(stiff * actuator.scale / gear)} | ({"biasprm": _numbers(bias)} if any(bias) else {})

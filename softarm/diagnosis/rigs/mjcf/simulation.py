@@ -75,6 +75,9 @@ class JointSimulation:
         self._along = tuple(map(self._stepped, zip(*drive.lengths, strict=True))) if drive.lengths else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
         self._gains = [(f"{GAIN_OF}{name}.scale", name) for name in drive.shares]
+        self._strengths = {
+            name: [*map(self._stepped, zip(*each, strict=True))] for name, each in drive.strengths.items()
+        }
         kept = lru_cache(KEPT)
         self._drives, self._followed, self._held = kept(self._driven), kept(self._follow), kept(self._hold)
 
@@ -188,12 +191,21 @@ class JointSimulation:
         return np.concatenate([np.interp(place, np.arange(len(signal)), signal) for place, signal in pairs])
 
     def _follow(self, share: str, delay_s: float, lag_s: float, rate: float) -> Array:
-        """Return the command that reaches the actuator, or one of several, at every integration step, [M each]."""
+        """Return the command that reaches the actuator, or one of several, at every integration step, [M each].
+
+        Of actuators whose strengths change with the motion it is their torque, or that of one of them.
+        """
+        if self._strengths and not share:
+            return np.asarray(sum(self._followed(name, delay_s, lag_s, rate) for name in self._strengths))
         held = self._held(share, delay_s)
         found = [np.empty_like(each) for each in held]
         for m, command, out in zip(self._motions, held, found, strict=True):
             laws.follow(command, rate, lag_s, m.grid.step_s / self._each, out)
-        return np.concatenate(found)
+        followed = np.concatenate(found)
+        if share not in self._strengths:
+            return followed
+        active, passive = self._strengths[share]
+        return np.asarray(active * followed + passive)
 
     def _hold(self, share: str, delay_s: float) -> list[Array]:
         """Return each trial's delayed command at its integration steps."""

@@ -102,7 +102,7 @@ class JointView(RigView):
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._drive.follow(self._motions, self._others.around)
+        self._drive.follow(self._motions, self._others)
         self._slopes = Slopes(self._mechanism, joint, self._others)
         self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]

@@ -84,22 +84,19 @@ def test_each_motor_has_a_gain_of_its_own_which_belongs_to_all_joints_that_it_mo
 
 
 @pytest.mark.parametrize(
-    "right",
+    ("right", "reason"),
     [
-        '<position name="{0}" tendon="{0}" kp="3"/>',
-        '<damper name="{0}" tendon="{0}" kv="1" ctrlrange="0 1"/>',
-        BELLOW.replace("0.05", "0.2"),
-        BELLOW.replace("ctrlrange=", 'forcerange="0 30" ctrlrange='),
-        '<motor name="{0}" tendon="{0}"/>',
+        (BELLOW.replace("ctrlrange=", 'forcerange="0 30" ctrlrange='), "is moved by left, right; several actuators"),
+        (BELLOW.replace('"0.05"', '"0.2"').replace('="{0}" ', '="{0}.1" ', 1), "is moved by right.1: its name holds"),
     ],
-    ids=["position loop", "damper", "another lag", "limit behind the lag", "no lag"],
+    ids=["limit behind the lag", "dot in a name"],
 )
-def test_other_pairs_are_refused(tmp_path, right):
+def test_other_pairs_are_refused(tmp_path, right, reason):
     (tmp_path / "robot.xml").write_text(segment(right=right))
-    problem = Mechanism(tmp_path / "robot.xml").joint("far").problem
-    assert "far" in problem
-    assert "left, right" in problem
-    assert "give its torque under `torque`" in problem
+    joint = Mechanism(tmp_path / "robot.xml").joint("far")
+    assert joint.actuator is None
+    assert f"joint far {reason}" in joint.problem
+    assert "give its torque under `torque`, as far" in joint.problem
 
 
 def test_the_command_of_each_motor_is_needed(tmp_path):

@@ -27,7 +27,6 @@ FINGER = """
 <tendon>TENDON</tendon><actuator>ACTUATOR</actuator></mujoco>"""
 FIXED = "".join(f'<joint joint="{joint}" coef="{ratio}"/>' for joint, ratio in RATIOS.items())
 FIXED = f'<fixed name="flexor">{FIXED}</fixed>'
-SPATIAL = '<spatial name="flexor"><site site="near"/><site site="far"/></spatial>'
 
 
 def finger(actuator=LOOP, tendon=FIXED):
@@ -185,11 +184,6 @@ def test_a_joint_that_no_column_measures_is_required(tmp_path):
     file = recorded(tmp_path, finger(), trials=1, columns=("middle",))
     with pytest.raises(TrialError, match="flexor moves middle and knuckle, which no column measures; add it to"):
         view_of(tables.read(file))
-
-
-def test_a_tendon_whose_ratios_change_is_refused(tmp_path):
-    (tmp_path / "finger.xml").write_text(finger(tendon=SPATIAL))
-    assert "moved by flexor, which is neither" in Mechanism(tmp_path / "finger.xml").joint("middle").problem
 
 
 def test_samples_before_a_slow_actuator_has_forgotten_its_start_are_left_out(tmp_path):
