@@ -6,6 +6,7 @@ of Constrained Dynamic Systems): the equalities determine the motion of the depe
 
 import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,8 +111,11 @@ class Closure:
         """
         size, nv = speed.shape
         found = State(position.copy(), speed.copy(), acceleration.copy(), np.zeros((size, nv)), np.ones(size, bool))
+        found.along[:, dof] = 1.0
         if self.is_open:
-            found.along[:, dof] = 1.0
+            return found
+        if self._is_linear:
+            self._follow(found, dof)
             return found
         last, leads = None, self._leading == dof
         for k in range(size):
@@ -131,8 +135,28 @@ class Closure:
             if (bias := self._biases.get(key)) is None:
                 _keep(self._biases, key, bias := self._bias(last, solution.inverse, found.speed[k]))
             found.acceleration[k, self.dependent] = solution.ratios @ acceleration[k, self._leading] + bias
-        found.along[:, dof] = 1.0
         return found
+
+    @cached_property
+    def _is_linear(self) -> bool:
+        """Return whether all equalities are constant ratios of two joints, as of mimic joints."""
+        active = self._model.eq_active0.astype(bool)
+        joints = self._model.eq_type[active] == int(self._mujoco.mjtEq.mjEQ_JOINT)
+        return bool(joints.all() and not self._model.eq_data[active, 2:5].any())
+
+    @cached_property
+    def _constant(self) -> tuple[Array, Array]:
+        """Position at the model's zero, qpos [nq], and the ratios everywhere, [D, L], of linear equalities."""
+        zero = self.zero()
+        return zero, self._solve(zero, zero).ratios
+
+    def _follow(self, found: State, dof: int) -> None:
+        """Set the motion of the dependent degrees of freedom of linear equalities; see `complete`."""
+        zero, ratios = self._constant
+        ahead = found.position[:, self._given] - zero[self._given]
+        found.position[:, self._solved] = zero[self._solved] + ahead @ ratios.T
+        for rates in (found.speed, found.acceleration, found.along):
+            rates[:, self.dependent] = rates[:, self._leading] @ ratios.T
 
     def _coordinates(self, dofs: Array) -> NDArray[np.int64]:
         """Return the indices in qpos of the joints of some degrees of freedom."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.closure import Closure
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from validation.mechanisms.record import MODELS
 
@@ -167,3 +168,18 @@ def test_a_motor_at_a_follower_moves_its_leader(tmp_path):
     file.write_text(text[: text.index("<actuator>")] + '<actuator><motor name="m" joint="right"/></actuator></mujoco>')
     left = Mechanism(file, ("left",)).joint("left")
     assert (left.actuator.name, left.actuator.scale) == ("m", pytest.approx(-0.5))
+
+
+@pytest.mark.parametrize("ratio", ["0 1 0 0 0", "0.01 -0.5 0 0 0"])
+def test_constant_ratios_move_as_the_solved_equality(ratio):
+    """An equality without constant ratios, a tenth of a micrometre off, takes the other way."""
+    rng, found = np.random.default_rng(0), []
+    given = [rng.uniform(-0.01, 0.01, (9, 3)) for _ in range(3)]
+    for text in (ratio, ratio.replace("0 0 0", "1e-7 0 0")):
+        model = mujoco.MjModel.from_xml_string(GRIPPER.replace('joint2="left"', f'joint2="left" polycoef="{text}"'))
+        left = model.joint("left").dofadr[0]
+        found.append(Closure(mujoco, model, [2, 1, 0]).complete(*given, left))
+    linear, solved = found
+    for one, other in zip(linear, solved, strict=True):
+        assert one == pytest.approx(other, abs=1e-7)
+    assert np.ptp(linear.along, axis=1).min() > 0.4
