@@ -142,7 +142,10 @@ def _joints(model: Path) -> "tuple[ModelJoint, ...]":
         unit, actuator = "rad" if joint.turns else "m", joint.actuator
         name, span = actuator.name if actuator is not None else "", joint.range[1] - joint.range[0]
         shares = {each: _command_unit(joint, own) for each, own in actuator.shares.items()} if actuator else {}
-        found.append(ModelJoint(joint.name, unit, span, name, _command_unit(joint, actuator), shares=shares))
+        command_unit = _command_unit(joint, actuator)
+        if len(shares) == 1:  # a muscle alone, whose column may have any name of a command
+            command_unit, shares = shares[name], {}
+        found.append(ModelJoint(joint.name, unit, span, name, command_unit, shares=shares))
     return tuple(found)
 
 

@@ -220,7 +220,7 @@ class Simulation:
         self._position = np.array([joint.position for joint in effects.joints])
         self._dof = np.array([joint.dof for joint in effects.joints])
         own = (joint.actuator for joint in effects.joints)  # several actuators of a joint receive their own commands
-        names = [each.name if each is not None and not each.shares else "" for each in own]
+        names = [each.name if each is not None and len(each.shares) < 2 else "" for each in own]
         first = {name: k for k, name in reversed([*enumerate(names)]) if name}  # one joint of each actuator
         self._driven = np.array([*first.values()], dtype=int)
         self._ctrl = np.array([model.actuator(name).id for name in first], dtype=int)
@@ -257,7 +257,7 @@ def _refuse_common(joint: Joint, field: str, path: str) -> None:
     That is the error of a position loop over several joints, and the delay of several actuators.
     """
     actuator, why = joint.actuator, ""
-    if actuator is not None and actuator.shares and field == "dead_time_s":
+    if actuator is not None and len(actuator.shares) > 1 and field == "dead_time_s":
         why = f"{actuator.name} move {joint.name}, and this effect acts on one actuator"
     elif actuator is not None and joint.follows and actuator.others and field in _OF_LOOP:
         others = ", ".join(actuator.others)

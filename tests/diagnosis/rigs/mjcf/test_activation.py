@@ -11,6 +11,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
+from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
 from tests.diagnosis.rigs.recordings import described_model, noisy, rms, simulate, view_of_joint
 from tests.diagnosis.verdicts import with_parameters
 
@@ -154,6 +155,37 @@ def test_a_muscle_without_a_force_gets_that_of_its_scale(tmp_path):
     made = patch.patched(file, with_parameters([("elbow.gain_biceps.scale", -0.5, "-")]), calibration=False)
     after = mujoco.MjModel.from_xml_string(made.text).actuator("biceps")
     assert after.gainprm[2] == pytest.approx(0.5 * before.gainprm[3] / before.acc0[0], rel=1e-5)
+
+
+def alone():
+    """Return a model whose elbow has the biceps alone, against gravity."""
+    return arm(triceps="").replace('damping="0.1"', 'damping="0.1" stiffness="2"')
+
+
+def test_a_command_of_a_muscle_alone_may_be_named_after_its_joint(tmp_path):
+    robot = mujoco.MjModel.from_xml_string(alone())
+    simulate(robot, tmp_path / "run.csv", waves(np.random.default_rng(0), 4.0)[:, :3])
+    (tmp_path / "robot.xml").write_text(alone())
+    run = tmp_path / "run.csv"
+    run.write_text(run.read_text().replace(",biceps,", ",elbow_command,"))
+    out = tmp_path / "new.yaml"
+    result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "robot.xml"), str(run), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    column = yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["biceps"]
+    assert column == {"source": "elbow_command", "unit": "-"}
+
+
+def test_at_run_time_a_muscle_alone_receives_its_command_late(tmp_path):
+    model, file = tmp_path / "robot.xml", tmp_path / "verdict.json"
+    model.write_text(alone())
+    file.write_text(with_parameters([("elbow.dead_time.delay", 0.02, "s")]).model_dump_json())
+    robot = mujoco.MjModel.from_xml_path(str(model))
+    data, sent = mujoco.MjData(robot), []
+    simulation = Simulation(RuntimeEffects.read(file, model), robot, data)
+    for k in range(40):
+        simulation.step(np.array([0.0, 0.0, 0.01 * k]))
+        sent.append(data.ctrl[2])
+    assert sent[30:] == pytest.approx(0.01 * np.arange(10, 20))
 
 
 @pytest.mark.slow
