@@ -59,10 +59,9 @@ def recorded(folder, trials=1, seconds=8.0, late=0, **strengths):
     for number in range(trials):
         random = np.random.default_rng(number)
         sent, file = waves(random, seconds), folder / f"run-{number}.csv"
-        simulate(robot, file, sent, control=lambda _, command: command, read=noisy(random, 2e-4))
+        received = np.concatenate((np.tile(sent[:1], (late, 1)), sent[: len(sent) - late]))
+        simulate(robot, file, received, read=noisy(random, 2e-4))
         if late:
-            received = np.concatenate((np.tile(sent[:1], (late, 1)), sent[:-late]))
-            simulate(robot, file, received, read=noisy(random, 2e-4))
             rows = np.loadtxt(file, delimiter=",", skiprows=1)
             rows[:, 1:5] = sent
             np.savetxt(file, rows, "%.8g", ",", header=file.read_text().partition("\n")[0], comments="")
