@@ -153,8 +153,9 @@ class Closure:
     def _follow(self, found: State, dof: int) -> None:
         """Set the motion of the dependent degrees of freedom of linear equalities; see `complete`."""
         zero, ratios = self._constant
-        ahead = found.position[:, self._given] - zero[self._given]
-        found.position[:, self._solved] = zero[self._solved] + ahead @ ratios.T
+        joints = self._model.dof_jntid
+        solved, given = (self._model.jnt_qposadr[joints[dofs]] for dofs in (self.dependent, self._leading))
+        found.position[:, solved] = zero[solved] + (found.position[:, given] - zero[given]) @ ratios.T
         for rates in (found.speed, found.acceleration, found.along):
             rates[:, self.dependent] = rates[:, self._leading] @ ratios.T
 
