@@ -1,5 +1,6 @@
 """Actuators of a MuJoCo model, and the joints that they move."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,6 +13,8 @@ from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 
 # Share of an actuator's largest moment below which it moves no joint, and of a moment that changes with position.
 MOVES = 1e-6
+# Fastest swing of a position loop, rad/s, whose torque the measured motion shows: 10 Hz.
+FASTEST_RAD_S = 20 * np.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,19 +95,33 @@ class Actuators:
                 return found[0], ""
             if all(_may_share(each, found[0]) for each in found):
                 return _joined(found), ""
+        names = ", ".join(each.name for each in found)
+        if self._swings(own, dof) > FASTEST_RAD_S:
+            return None, (
+                f"joint {joint} is moved by {names}: beside another actuator, or at a tendon with changing ratios, a "
+                "position loop may swing at 10 Hz at most, since the measured motion shows the torque of no faster "
+                f"one; {instead}"
+            )
         if dotted := [each.name for each in found if "." in each.name]:
             return None, (
                 f"joint {joint} is moved by {dotted[0]}: its name holds a dot, which separates the parts of an "
                 f"effect's name; rename the actuator in the model and the column, or {instead}"
             )
         if not all(map(self._activation.knows, own)):
-            names = ", ".join(each.name for each in found)
             return None, (
                 f"joint {joint} is moved by {names}; several actuators, and those whose strength changes with the "
                 "motion, are allowed with a fixed, affine or muscle's gain and bias, with a filter's or a muscle's "
                 f"activation, and without a force range; write them so, or {instead}"
             )
         return _by_motion(found, *self._joint_range(number)), ""
+
+    def _swings(self, own: Sequence[int], dof: int) -> float:
+        """Return the frequency at which position loops swing a joint, rad/s; 0 without one."""
+        m = self._model
+        moments = np.maximum(np.abs(self._moments[own, dof]), np.abs(self._elsewhere[own, dof]))
+        is_affine = m.actuator_biastype[own] == int(self._mujoco.mjtBias.mjBIAS_AFFINE)
+        stiffness = float(moments**2 @ np.maximum(-m.actuator_biasprm[own, 1] * is_affine, 0.0))
+        return math.sqrt(stiffness * float(m.dof_invweight0[dof]))
 
     def activation(self, name: str, command: Array, step_s: float) -> Array:
         """Return the activation of an actuator at each sample, [T]; see `Activation.of`."""

@@ -105,6 +105,14 @@ def test_torques_along_a_motion_are_those_of_mujoco(tmp_path, others):
         assert np.std(off) < 0.01 * np.std(torque[:, k])
 
 
+def test_a_loop_that_is_too_fast_for_its_torque_to_show_is_refused(tmp_path):
+    for kp, refused in ((2e4, False), (2e6, True)):
+        (tmp_path / "robot.xml").write_text(arm(biceps=f'<position name="biceps" tendon="biceps" kp="{kp}"/>'))
+        problem = Mechanism(tmp_path / "robot.xml").joint("elbow").problem
+        assert ("a position loop may swing at 10 Hz at most" in problem) == refused
+        assert ("give its torque under `torque`, as elbow" in problem) == refused
+
+
 @pytest.mark.parametrize("joint", JOINTS)
 def test_a_healthy_arm_has_no_gap_to_its_model(tmp_path, joint):
     healthy = view_of_joint(recorded(tmp_path), joint)
