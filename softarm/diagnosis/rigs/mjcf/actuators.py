@@ -13,8 +13,8 @@ from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 
 # Share of an actuator's largest moment below which it moves no joint, and of a moment that changes with position.
 MOVES = 1e-6
-# Fastest swing of a position loop, rad/s, whose torque the measured motion shows: 10 Hz.
-FASTEST_RAD_S = 20 * np.pi
+# Fastest swing of a position loop, rad/s, whose torque the measured motion shows: 4 Hz.
+FASTEST_RAD_S = 8 * np.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class Actuators:
         if self._swings(own, dof) > FASTEST_RAD_S:
             return None, (
                 f"joint {joint} is moved by {names}: beside another actuator, or at a tendon with changing ratios, a "
-                "position loop may swing at 10 Hz at most, since the measured motion shows the torque of no faster "
+                "position loop may swing at 4 Hz at most, since the measured motion shows the torque of no faster "
                 f"one; {instead}"
             )
         if dotted := [each.name for each in found if "." in each.name]:
