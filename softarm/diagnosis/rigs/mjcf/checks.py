@@ -76,7 +76,7 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
             if abs(times / DEGREES - 1) < ALIKE:
                 yield f"{where}: {joint.name} has a {of} range {times:.3g} times as wide; write `unit: deg` there"
     elif not follows and together > TOGETHER:
-        small = np.abs(command) <= np.median(np.abs(command))  # a torque limit leaves these alone
+        small = np.abs(command) <= np.median(np.abs(command[command != 0]))  # a torque limit leaves these alone
         times, near = (_times(*(x[part] for x in (command, answer, friction))) for part in (slice(None), small))
         far = all(each > FAR or 0 < each < FAR_LESS for each in (times, near))
         if far and unexplained(command, friction, needed) < LEFT:  # a wrong zero makes torques of another form

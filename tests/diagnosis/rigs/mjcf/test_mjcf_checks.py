@@ -179,6 +179,16 @@ def test_neither_a_torque_limit_nor_a_payload_is_a_wrong_unit(factor, limit, ref
     assert bool(complaints(signals(seen, np.roll(command, 700), command, needed))) == refused
 
 
+@pytest.mark.parametrize(("factor", "refused"), [(1.0, False), (5.0, True)])
+def test_torque_in_pulses_shows_a_wrong_unit(factor, refused):
+    """Most commands are zero."""
+    random = np.random.default_rng(2)
+    command = random.normal(size=2000) * (np.arange(2000) % 20 < 5)
+    seen = np.cumsum(command) * 1e-3
+    needed = factor * command + 1e-3 * random.normal(size=2000)
+    assert bool(complaints(signals(seen, np.roll(command, 700), command, needed))) == refused
+
+
 def beside_a_box(z_m, gap_m=0):
     """Return the old and the new world of the camera, with a geom near its centre and a large box at a height."""
     text, eye = ROBOTS["camera"].model.read_text(), '<body name="camera" pos="0 0 0.1">'
