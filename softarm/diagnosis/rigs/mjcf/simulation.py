@@ -22,6 +22,9 @@ from softarm.diagnosis.rigs.motion import Motion, directions
 KEPT = 20
 # Step of the numerical derivative by a window's start, in its uncertainty.
 NUDGED = 0.05
+# Shares of the linear correction of a window's start that are tried as another start. It is used if the squared errors
+# of the window and of its first EARLY samples shrink to the share IMPROVED.
+CORRECTED, EARLY, IMPROVED = (1.0, 0.5), 16, 0.7
 # Whether dry friction lets the joint creep, as MuJoCo's does, 0 or 1.
 CREEP = "coulomb_friction.creep"
 # Whether the recordings come from a simulation with the model's own steps, 0 or 1.
@@ -100,13 +103,53 @@ class JointSimulation:
         spreads = [np.tile(m.spread, (len(s), 1)) for m, s in zip(self._motions, steps, strict=True)]
         whole = (np.concatenate(each) for each in (ends, starts, sides, steps))
         self._windows = laws.Windows(seen.copy(), *whole)
-        self._spread, self._nominal, self._floor = np.concatenate(spreads), at, floor
-        self._freed = self._by_start()
+        self._spread, self._floor, self._guesses = np.concatenate(spreads), floor, self._windows.starts
+        steps_before = [np.diff(m.seen, prepend=np.nan)[own[:-1]] for m, own in zip(self._motions, edges, strict=True)]
+        self._speeds_before = np.concatenate(steps_before) / self._windows.step_s
+        self.start_at(at)
+
+    def start_at(self, at: Values) -> None:
+        """Start each window at the guess, or as the nominal model with these values fits it much better.
+
+        Smoothing blurs the speed at a start with an abrupt motion. A correction by the start is not linear where dry
+        friction then stops the joint, so the speed before the start and corrected starts are tried.
+        """
+        self._nominal, self._windows = at, self._windows._replace(starts=self._guesses)
+        left, self._freed = self._by_start()
+        position, speed = self._guesses.T
+        before = np.where(np.isfinite(self._speeds_before), self._speeds_before, speed)
+        left = self._try(np.stack((position, before), axis=1), left)
+        for share in CORRECTED:
+            known, first = np.nan_to_num(left), self._windows.edges[:-1]
+            moves = np.stack([np.add.reduceat(solve * known, first) for solve in self._freed[1]], axis=1)
+            left = self._try(self._windows.starts - share * moves * self._spread, left)
+
+    def _try(self, starts: Array, left: Array) -> Array:
+        """Use other starts [W, 2] of the windows that the nominal model then fits better, and return its errors, [M].
+
+        left: errors from the present starts, [M].
+        """
+        windows, freed, usual = self._windows, self._freed, self._squares(left)
+        self._windows = windows._replace(starts=starts)
+        other, self._freed = self._by_start()
+        better = (self._squares(other) < IMPROVED * usual).all(axis=0)
+        samples = np.repeat(better, np.diff(windows.edges))
+        self._windows = windows._replace(starts=np.where(better[:, None], starts, windows.starts))
+        one, two = (np.where(samples, new, old) for new, old in zip(self._freed, freed, strict=True))
+        self._freed = one, two
+        return np.where(samples, other, left)
+
+    def _squares(self, left: Array) -> Array:
+        """Return the squared error of each window, and that of its first samples without a correction, [2, W]."""
+        edges, whole = self._windows.edges, left[None].copy()
+        self.free_starts(whole)
+        early = np.arange(edges[-1]) - np.repeat(edges[:-1], np.diff(edges)) < EARLY
+        return np.add.reduceat(np.nan_to_num([whole[0], np.where(early, left, 0.0)]) ** 2, edges[:-1], axis=1)
 
     def leave_out(self, samples: NDArray[np.bool_]) -> None:
         """Leave samples [M] out."""
         self._windows.seen[samples] = np.nan
-        self._freed = self._by_start()
+        _, self._freed = self._by_start()
 
     def residuals(self, values: Sequence[Values], terms: Array | None = None, moved: Array | float = 0.0) -> Array:
         """Return measured minus predicted values from the windows' starts at P points, [P, M].
@@ -126,22 +169,22 @@ class JointSimulation:
         """Remove from values left [P, M] what a change of each window's start explains."""
         laws.free_starts(left, self._windows.edges, *self._freed)
 
-    def _by_start(self) -> tuple[Array, Array]:
-        """Return how values change with their window's start [2, M], and the least-squares fit of it [2, M].
+    def _by_start(self) -> tuple[Array, tuple[Array, Array]]:
+        """Return the errors of the nominal model [M], how they change with their window's start, and the fit of it.
 
-        The guess of a start is as good as the smoothed motion, so a linear correction at the nominal model suffices.
+        The change per unit of a start's uncertainty, and its least-squares fit, are [2, M].
         """
         at = self._nominal
         base = self.residuals([at])[0]
         nudges = [NUDGED * self._spread * axis for axis in np.eye(2)]
         changed = [(self.residuals([at], moved=nudge)[0] - base) / NUDGED for nudge in nudges]
-        both = np.nan_to_num(np.stack(changed))  # per unit of the uncertainty
+        both = np.nan_to_num(np.stack(changed))
         solve = np.empty_like(both)
         for a, b in pairwise(self._windows.edges):
             change = both[:, a:b]
             normal = change @ change.T + self._floor**2 * np.eye(2)
             solve[:, a:b] = np.linalg.solve(normal, change)
-        return both, solve
+        return base, (both, solve)
 
     def _law(self, at: Values) -> Array:
         law, joint, actuator = np.zeros(laws.COLUMNS), self._joint, self._actuator

@@ -172,8 +172,14 @@ class JointView(RigView):
         return found
 
     def assume(self, path: str, value: float) -> None:
-        """Set 'effect.parameter' of the nominal model; friction that creeps does not bend."""
+        """Set 'effect.parameter' of the nominal model.
+
+        The starts of windows are found again for another law of a simulation; friction that creeps does not bend.
+        """
+        changed = path in (CREEP, STEPPED) and value != self._known[path]
         super().assume(path, value)
+        if changed:
+            self._simulation.start_at(*self._values([{}]))
         if path == CREEP:
             self.curved = {} if value else self._bends
             friction = self._frictions[bool(value)]
