@@ -22,9 +22,9 @@ from softarm.diagnosis.rigs.motion import Motion, directions
 KEPT = 20
 # Step of the numerical derivative by a window's start, in its uncertainty.
 NUDGED = 0.05
-# Shares of the linear correction of a window's start that are tried as another start. It is used if the squared errors
-# of the window and of its first EARLY samples shrink to the share IMPROVED.
-CORRECTED, EARLY, IMPROVED = (1.0, 0.5), 16, 0.7
+# Shares of the linear correction of a window's start that are tried as another start. A start is used if the squared
+# errors of the window and of its first EARLY samples shrink to the share IMPROVED.
+CORRECTED, EARLY, IMPROVED = (1.0, 0.5), 16, 0.3
 # Whether dry friction lets the joint creep, as MuJoCo's does, 0 or 1.
 CREEP = "coulomb_friction.creep"
 # Whether the recordings come from a simulation with the model's own steps, 0 or 1.
@@ -105,20 +105,18 @@ class JointSimulation:
         self._windows = laws.Windows(seen.copy(), *whole)
         self._spread, self._floor, self._guesses = np.concatenate(spreads), floor, self._windows.starts
         steps_before = [np.diff(m.seen, prepend=np.nan)[own[:-1]] for m, own in zip(self._motions, edges, strict=True)]
-        self._speeds_before = np.concatenate(steps_before) / self._windows.step_s
+        self._speeds_before = np.nan_to_num(np.concatenate(steps_before) / self._windows.step_s)
         self.start_at(at)
 
     def start_at(self, at: Values) -> None:
-        """Start each window at the guess, or as the nominal model with these values fits it much better.
+        """Start each window at the guess, or at another start with which the nominal model of these values fits better.
 
-        Smoothing blurs the speed at a start with an abrupt motion. A correction by the start is not linear where dry
-        friction then stops the joint, so the speed before the start and corrected starts are tried.
+        Smoothing blurs the speed of an abrupt start. A correction by the start is not linear where dry friction then
+        stops the joint. So the speed before the window, or rest at a recording's start, and corrected starts are tried.
         """
         self._nominal, self._windows = at, self._windows._replace(starts=self._guesses)
         left, self._freed = self._by_start()
-        position, speed = self._guesses.T
-        before = np.where(np.isfinite(self._speeds_before), self._speeds_before, speed)
-        left = self._try(np.stack((position, before), axis=1), left)
+        left = self._try(np.stack((self._guesses[:, 0], self._speeds_before), axis=1), left)
         for share in CORRECTED:
             known, first = np.nan_to_num(left), self._windows.edges[:-1]
             moves = np.stack([np.add.reduceat(solve * known, first) for solve in self._freed[1]], axis=1)
