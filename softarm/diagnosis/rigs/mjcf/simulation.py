@@ -106,15 +106,21 @@ class JointSimulation:
         self._spread, self._floor, self._guesses = np.concatenate(spreads), floor, self._windows.starts
         steps_before = [np.diff(m.seen, prepend=np.nan)[own[:-1]] for m, own in zip(self._motions, edges, strict=True)]
         self._speeds_before = np.nan_to_num(np.concatenate(steps_before) / self._windows.step_s)
-        self.start_at(at)
+        self._nominal = at
+        self._find_starts()
 
-    def start_at(self, at: Values) -> None:
-        """Start each window at the guess, or at another start with which the nominal model of these values fits better.
+    def assume(self, path: str, value: float) -> None:
+        """Set 'effect.parameter' of the nominal model at which the starts are found, and find them again."""
+        self._nominal = {**self._nominal, path: value}
+        self._find_starts()
+
+    def _find_starts(self) -> None:
+        """Start each window at the guess, or at another start with which the nominal model fits it far better.
 
         Smoothing blurs the speed of an abrupt start. A correction by the start is not linear where dry friction then
         stops the joint. So the speed before the window, or rest at a recording's start, and corrected starts are tried.
         """
-        self._nominal, self._windows = at, self._windows._replace(starts=self._guesses)
+        self._windows = self._windows._replace(starts=self._guesses)
         left, self._freed = self._by_start()
         left = self._try(np.stack((self._guesses[:, 0], self._speeds_before), axis=1), left)
         for share in CORRECTED:

@@ -179,7 +179,7 @@ class JointView(RigView):
         changed = path in (CREEP, STEPPED) and value != self._known[path]
         super().assume(path, value)
         if changed:
-            self._simulation.start_at(*self._values([{}]))
+            self._simulation.assume(path, value)
         if path == CREEP:
             self.curved = {} if value else self._bends
             friction = self._frictions[bool(value)]
