@@ -136,7 +136,7 @@ class JointSimulation:
         windows, freed, usual = self._windows, self._freed, self._squares(left)
         self._windows = windows._replace(starts=starts)
         other, self._freed = self._by_start()
-        better = (self._squares(other) < IMPROVED * usual).all(axis=0)
+        better = np.asarray(np.all(self._squares(other) < IMPROVED * usual, axis=0))
         samples = np.repeat(better, np.diff(windows.edges))
         self._windows = windows._replace(starts=np.where(better[:, None], starts, windows.starts))
         one, two = (np.where(samples, new, old) for new, old in zip(self._freed, freed, strict=True))
