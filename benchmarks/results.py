@@ -5,9 +5,11 @@
 
 Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date, the
 command and the paths that the figures depend on; `transcribed` marks figures copied from a page, whose revision is the
-commit that last changed the page's table. `python -m tools.render` fills the tables of docs/ from these files.
+commit that last changed the page's table. Changed comments, docstrings and layout of Python do not make a result old.
+`python -m tools.render` fills the tables of docs/ from these files.
 """
 
+import ast
 import json
 import shlex
 import subprocess
@@ -184,13 +186,38 @@ def read(name: str) -> dict[str, Any]:
 def age(about: Mapping[str, Any], root: Path = CHECKOUT) -> int:
     """Return how many commits have changed the code that a result depends on since it was measured.
 
+    Returns 0 if they changed comments, docstrings and layout alone.
+
     Raises CalledProcessError if the checkout does not have the result's revision (a shallow clone).
     """
-    span = f"{about['revision']}..HEAD"
+    since = str(about["revision"])
     # softarm/ was at the top level of older revisions.
     paths = [each for path in about["depends"] for each in (path, path.removeprefix("softarm/"))]
-    command = ["git", "rev-list", "--count", span, "--", *paths]
-    return int(subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout)
+    changed = _git(root, "diff", "--name-only", "--no-renames", since, "HEAD", "--", *paths).splitlines()
+    if all(_code(root, since, path) == _code(root, "HEAD", path) for path in changed):
+        return 0
+    return int(_git(root, "rev-list", "--count", f"{since}..HEAD", "--", *paths))
+
+
+def _code(root: Path, commit: str, path: str) -> str | None:
+    """Return a file's content at a commit, None if it has no such file; of a module its syntax without docstrings."""
+    if not _git(root, "ls-tree", commit, "--", path):
+        return None
+    text = _git(root, "show", f"{commit}:{path}")
+    if not path.endswith(".py"):
+        return text
+    module = ast.parse(text)
+    for node in ast.walk(module):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = node.body[ast.get_docstring(node, clean=False) is not None :]
+    return ast.dump(module)
+
+
+def _git(root: Path, *words: str) -> str:
+    """Return what git prints; bytes that are no UTF-8 are kept apart from each other."""
+    command = ["git", *words]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, errors="backslashreplace", check=True)
+    return done.stdout
 
 
 def _cpu() -> str:

@@ -68,3 +68,29 @@ def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path, git):
     assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
     assert results.age({"revision": first, "depends": ["other.py"]}, tmp_path) == 1
     assert results.age({"revision": "HEAD", "depends": ["code.py", "other.py"]}, tmp_path) == 0
+
+
+def test_comments_docstrings_and_layout_are_no_change_of_the_code_but_a_value_is(tmp_path, git):
+    def commit(text):
+        (tmp_path / "code.py").write_text(text)
+        git("add", ".")
+        git("commit", "-qm", "code")
+        return git("rev-parse", "HEAD").strip()
+
+    first = commit('"""Double."""\n\n\ndef double(x):\n    """Return 2 x."""\n    return 2 * x\n')
+    commit("def double(x):  # by two\n    return (2 * x)\n")
+    assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 0
+    commit("def double(x):\n    return 3 * x\n")
+    assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
+
+
+def test_an_added_or_a_removed_file_is_a_change_of_the_code(tmp_path, git):
+    before = git("rev-parse", "HEAD").strip()
+    (tmp_path / "new.py").write_text("")
+    git("add", ".")
+    git("commit", "-qm", "add")
+    added = git("rev-parse", "HEAD").strip()
+    git("rm", "-q", "new.py")
+    git("commit", "-qm", "remove")
+    assert results.age({"revision": before, "depends": ["new.py"]}, tmp_path) == 0
+    assert results.age({"revision": added, "depends": ["new.py"]}, tmp_path) == 1
