@@ -74,11 +74,11 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """Links of a mechanism in some seconds of a trial."""
+    """Moving drawing of a mechanism in some seconds of a trial."""
 
     trial: str
     t_s: Array  # [F]
-    # Measured, nominal and, with named effects, patched -> both ends of each link, [F, L, 2, 3], m.
+    # Measured, nominal and, with named effects, patched -> corners of outlines, [F, L, C, 2], m right and up.
     lines: Mapping[str, Array]
     factor: float  # by which deviations from the measured motion are enlarged
 

@@ -1,4 +1,4 @@
-"""Film of a mechanism: its links as measured and as the models move them, in the seconds of the largest gap."""
+"""Film of a mechanism: its bodies as measured and as the models move them, in the seconds of the largest gap."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +17,10 @@ FRAMES_PER_S = 20.0
 # Factors by which deviations may be enlarged, and the largest drawn deviation as a share of the mechanism's extent.
 FACTORS = 1, 2, 5, 10, 20, 50, 100
 DRAWN = 0.1
+# Height of a motion as a share of its width, up to which it is drawn from above.
+FLAT = 0.05
+# Corners of all outlines together, and least and most corners of one: bounds of the report's size.
+CORNERS, FEWEST, MOST = 400, 8, 24
 
 
 def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
@@ -44,14 +48,16 @@ def film(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Film | None:
     if any(each.patched is not None for each in seen):
         apart["patched"] = _apart(seen, [each.nominal if each.patched is None else each.patched for each in seen], t_s)
 
-    def lines(kind: str, factor: float) -> Array:
+    def points(kind: str, factor: float) -> Array:
         moved = {name: x + factor * apart[kind].get(name, 0.0) for name, x in measured.items()}
         still = np.zeros_like(t_s)
-        return model.lines(model.joint(shown.stage), {name: (x, still, still) for name, x in moved.items()})
+        return model.points(model.joint(shown.stage), {name: (x, still, still) for name, x in moved.items()})
 
-    found = {"measured": lines("nominal", 0.0)}
-    factor = _factor(found["measured"], lines("nominal", 1.0))
-    return Film(_recording(trial.name, shown.stage), t_s, found | {kind: lines(kind, factor) for kind in apart}, factor)
+    real, simulated = points("nominal", 0.0), points("nominal", 1.0)
+    factor, axes = _factor(real, simulated), _plane(real, simulated)
+    found = {"measured": real} | {kind: points(kind, factor) for kind in apart}
+    lines = {kind: _outlines(each @ axes.T) for kind, each in found.items()}
+    return Film(_recording(trial.name, shown.stage), t_s, lines, factor)
 
 
 def _is_of(overlay: Overlay, trial: Trial) -> bool:
@@ -84,7 +90,32 @@ def _apart(seen: Sequence[Overlay], simulated: Sequence[Array], t_s: Array) -> M
 
 
 def _factor(measured: Array, nominal: Array) -> float:
-    """Return the factor by which deviations are drawn larger; measured, nominal: lines, [F, L, 2, 3]."""
+    """Return the factor by which deviations are drawn larger; measured, nominal: points, [F, G, P, 3]."""
     extent = float(np.linalg.norm(np.ptp(measured.reshape(-1, 3), axis=0)))
     apart = float(np.linalg.norm(nominal - measured, axis=-1).max(initial=1e-12))
     return float(max(f for f in FACTORS if f == 1 or f * apart <= DRAWN * extent))
+
+
+def _plane(measured: Array, nominal: Array) -> Array:
+    """Return the axes of the drawing to the right and up, [2, 3]; measured, nominal: points, [F, G, P, 3].
+
+    The plane is upright and shows the largest horizontal deviation; a flat mechanism is seen from above.
+    """
+    _, _, across = np.linalg.svd((nominal - measured).reshape(-1, 3)[:, :2], full_matrices=False)
+    wide, deep, up = np.array([*across[0], 0.0]), np.array([*across[1], 0.0]), np.array([0.0, 0.0, 1.0])
+    wide *= np.sign(wide[np.argmax(np.abs(wide))])
+    centres = np.concatenate((measured, nominal)).mean(axis=2).reshape(-1, 3)
+    return np.stack((wide, up if np.ptp(centres @ up) > FLAT * np.ptp(centres @ wide) else deep))
+
+
+def _outlines(flat: Array) -> Array:
+    """Return the corners of each shape's outline, counter-clockwise, [F, G, C, 2].
+
+    Args:
+        flat: points of each convex shape in the plane of the drawing, [F, G, P, 2].
+    """
+    # A multiple of four, so that both axes of the drawing are among the directions.
+    corners = min(max(4 * (CORNERS // 4 // flat.shape[1]), FEWEST), MOST)
+    angle = 2 * np.pi * np.arange(corners) / corners
+    towards = np.stack((np.cos(angle), np.sin(angle)))
+    return np.take_along_axis(flat, np.argmax(flat @ towards, axis=2)[..., None], axis=2)

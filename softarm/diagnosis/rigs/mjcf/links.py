@@ -65,26 +65,6 @@ class Links:
         tool = TOOL * self._length(root)
         return Link(root, name, start, axes, max(*reaches, tool), is_short=max(reaches) < tool)
 
-    def lines(self, positions: Array) -> Array:
-        """Return lines from each body to the next ones, and through the centres of mass of the last ones.
-
-        Args:
-            positions: qpos, [T, nq].
-
-        Returns:
-            Both ends of each line, [T, L, 2, 3], m.
-        """
-        model, data, found = self._model, self._mujoco.MjData(self._model), []
-        inner = [b for b in range(1, model.nbody) if model.body_parentid[b]]
-        last = sorted({*range(1, model.nbody)} - {int(model.body_parentid[b]) for b in inner})
-        for position in positions:
-            data.qpos[:] = position
-            self._mujoco.mj_kinematics(model, data)
-            between = [(data.xpos[model.body_parentid[b]], data.xpos[b]) for b in inner]
-            ends = ((data.xpos[b], 2 * data.xipos[b] - data.xpos[b]) for b in last)
-            found.append(np.array([*between, *ends]))  # MuJoCo's arrays change with the next position
-        return np.array(found)
-
     def stretch(self, model: Any, body: int, factor: float) -> None:
         """Move everything on the rigid link of a body, the next joints included, away from its joint."""
         start = model.jnt_pos[model.body_jntadr[body] + model.body_jntnum[body] - 1]

@@ -23,6 +23,7 @@ from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
 from softarm.diagnosis.rigs.mjcf.links import Link, Links
 from softarm.diagnosis.rigs.mjcf.loads import Bodies
+from softarm.diagnosis.rigs.mjcf.shapes import Shapes
 from softarm.diagnosis.rigs.mjcf.stepping import stepping
 
 # Steps of the numerical derivatives of the load, rad or m, and 1/s of these.
@@ -220,9 +221,9 @@ class Mechanism:
             above, below = (centre._replace(position=centre.position + way) for way in (shift, -shift))
         return Course((qpos[:, joint.position], qvel[:, dof]), centre, faster, above, below)
 
-    def lines(self, joint: Joint, motion: Motion) -> Array:
-        """Return the links along a motion as lines, [T, L, 2, 3], m; see `course` and `Links.lines`."""
-        return self._links.lines(self.course(joint, motion).centre.position)
+    def points(self, joint: Joint, motion: Motion) -> Array:
+        """Return points on the bodies along a motion, [T, G, P, 3], m; see `course` and `Shapes.points`."""
+        return Shapes(self._mujoco, self.model).points(self.course(joint, motion).centre.position)
 
     def terms(self, joint: Joint, course: Course, longer: float = 0.0) -> Array:
         """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].

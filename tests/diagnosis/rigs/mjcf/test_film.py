@@ -1,14 +1,16 @@
-"""Film of a mechanism: links as measured and as simulated, with enlarged deviations."""
+"""Film of a mechanism: bodies as measured and as simulated, with enlarged deviations."""
 
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
-from softarm.diagnosis.rigs.mjcf.film import film
+from softarm.diagnosis.rigs.mjcf.film import _outlines, _plane, film
 from tests.diagnosis.verdicts import gap, rms, verdict
 
 TWO = """<mujoco><compiler angle="radian"/><worldbody>
@@ -43,14 +45,15 @@ def filmed(tmp_path):
     return of
 
 
-def links(shoulder, elbow):
-    """Return both ends of both links in one pose by MuJoCo, [2, 2, 3]."""
+def tips(shoulder, elbow):
+    """Return the lower ends of both capsules in one pose by MuJoCo, [2, 3]."""
     model = mujoco.MjModel.from_xml_string(TWO)
     data = mujoco.MjData(model)
     data.qpos[:] = shoulder, elbow
     mujoco.mj_kinematics(model, data)
-    elbow_at = data.body("fore").xpos
-    return np.array([(data.body("upper").xpos, elbow_at), (elbow_at, 2 * data.body("fore").xipos - elbow_at)])
+    reach = (model.geom_size[:, 0] + model.geom_size[:, 1])[:, None] * data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
+    ends = data.geom_xpos + reach, data.geom_xpos - reach
+    return np.where(ends[0][:, 2:] < ends[1][:, 2:], *ends)
 
 
 def test_the_film_shows_the_two_seconds_with_the_largest_gap(filmed):
@@ -60,14 +63,19 @@ def test_the_film_shows_the_two_seconds_with_the_largest_gap(filmed):
     assert found.t_s[-1] - found.t_s[0] == pytest.approx(2.0, abs=0.1)
 
 
-def test_each_link_is_where_mujoco_has_it_and_deviations_are_enlarged(filmed):
+def test_each_body_is_where_mujoco_has_it_and_deviations_are_enlarged(filmed):
     found = filmed({"shoulder": 0.01 * WORST, "elbow": 0.02 * WORST}, dict.fromkeys(JOINTS, 0.001 * WORST))
     assert found.factor == 5
     k = 20
     shoulder, elbow = (np.interp(found.t_s[k], T, MOTION[joint]) for joint in JOINTS)
-    assert found.lines["measured"][k] == pytest.approx(links(shoulder, elbow), abs=1e-9)
-    assert found.lines["nominal"][k] == pytest.approx(links(shoulder + 0.05, elbow + 0.1), abs=1e-9)
-    assert found.lines["patched"][k] == pytest.approx(links(shoulder + 0.005, elbow + 0.005), abs=1e-9)
+    drawn = {
+        "measured": tips(shoulder, elbow),
+        "nominal": tips(shoulder + 0.05, elbow + 0.1),
+        "patched": tips(shoulder + 0.005, elbow + 0.005),
+    }
+    for kind, ends in drawn.items():
+        for outline, end in zip(found.lines[kind][k], ends, strict=True):
+            assert np.linalg.norm(outline - end[[0, 2]], axis=1).min() < 0.005, kind
 
 
 def test_without_a_named_effect_there_is_no_patched_robot_and_a_large_deviation_keeps_its_size(filmed):
@@ -86,3 +94,36 @@ def test_stretches_of_a_recording_are_joined(filmed):
 def test_without_a_gap_or_if_it_is_no_joints_there_is_no_film(filmed):
     assert filmed(dict.fromkeys(JOINTS, 0.0 * T), stage=None) is None
     assert filmed({"shoulder": 0.0 * T, "elbow": 0.02 * WORST}, kinds=("mujoco", "tracking")) is None
+
+
+@pytest.mark.parametrize("plane", ["xz", "yz", "xy"])
+def test_the_drawing_shows_the_plane_of_the_deviation(plane):
+    axes = _plane(swinging(plane), swinging(plane, 0.1))
+    assert np.abs(axes) == pytest.approx(np.abs([np.eye(3)["xyz".index(each)] for each in plane]))
+
+
+def test_wider_motion_without_a_deviation_is_seen_from_its_end():
+    """A gantry moves along y by 1 m, and what hangs from it swings along x."""
+    way = np.zeros((40, 1, 1, 3))
+    way[..., 1] = np.arange(40)[:, None, None] / 20
+    assert _plane(swinging("xz") + way, swinging("xz", 0.1) + way)[0] == pytest.approx([1, 0, 0])
+
+
+def swinging(plane, more=0.0):
+    """Return a rod of 1 m that swings to both sides in a plane, such as xz; more: amplitude, rad."""
+    angle, points = (0.5 + more) * np.sin(np.pi * np.arange(40) / 20), np.zeros((40, 1, 2, 3))
+    points[:, 0, 1, "xyz".index(plane[0])] = np.sin(angle)
+    points[:, 0, 1, "xyz".index(plane[1])] = -np.cos(angle)
+    return points
+
+
+@given(st.integers(1, 100), st.integers(0, 2**32 - 1))
+def test_an_outline_holds_its_shape_and_turns_counter_clockwise(shapes, seed):
+    flat = np.random.default_rng(seed).normal(size=(2, shapes, 30, 2))
+    outlines = _outlines(flat)
+    ahead = np.roll(outlines, -1, axis=2) - outlines
+    area = outlines[..., 0] * ahead[..., 1] - outlines[..., 1] * ahead[..., 0]
+    assert (area.sum(axis=2) > 0).all()
+    for axis in range(2):
+        assert outlines[..., axis].max(axis=2) == pytest.approx(flat[..., axis].max(axis=2))
+        assert outlines[..., axis].min(axis=2) == pytest.approx(flat[..., axis].min(axis=2))
