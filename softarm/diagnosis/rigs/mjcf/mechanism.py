@@ -21,6 +21,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as law
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.closure import Closure, State
+from softarm.diagnosis.rigs.mjcf.contacts import Contacts
 from softarm.diagnosis.rigs.mjcf.links import Link, Links
 from softarm.diagnosis.rigs.mjcf.loads import Bodies
 from softarm.diagnosis.rigs.mjcf.shapes import Shapes
@@ -131,6 +132,7 @@ class Mechanism:
         self.step_s = float(self.model.opt.timestep)
         self.stepping = stepping(self._mujoco, self.model)
         self._links = Links(self._mujoco, self.model)
+        self._contacts = Contacts(self._mujoco, self.model)
         self._closure = Closure(self._mujoco, self.model, self._order(measured, moved))
         self._ratios, self._follows = self._closure.ratios(self._closure.zero()), self._closure.follows
         self._moved_by = [{*self._moved(int(dof))} for dof in self._closure.independent]
@@ -309,43 +311,17 @@ class Mechanism:
         moves, or a position that the model's equalities do not allow. A contact between two bodies that it moves has no
         torque about it.
         """
-        mujoco, model, position = self._mujoco, self.model, course.centre.position
+        position = course.centre.position
         found = ~course.centre.closed | ~course.above.closed | ~course.below.closed
         for other in (self.joints[name] for name in joint.followers):
             low, high = other.range
             found |= (position[:, other.position] <= low) | (position[:, other.position] >= high)
-        touches = bool(model.ngeom and (model.geom_contype | model.geom_conaffinity).any())
-        tendons = self._limited_tendons(joint)
-        if not touches and not tendons:
-            return found
-        low, high = model.tendon_range[tendons].T
-        data, moves = mujoco.MjData(model), np.isin(model.geom_bodyid, self._moved(joint.dof))
-        for k in range(len(position)):
-            data.qpos[:] = position[k]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            if tendons:
-                mujoco.mj_tendon(model, data)
-                length = data.ten_length[tendons]
-                found[k] |= bool(((length <= low) | (length >= high)).any())
-            mujoco.mj_collision(model, data)
-            if data.ncon:
-                one, other = moves[data.contact.geom[data.contact.exclude == 0]].T  # the others have no force
-                found[k] |= bool((one != other).any())
-        return found
+        joints = self.model.dof_jntid[np.flatnonzero(self._follows[:, joint.dof])]
+        return found | self._contacts.act(position, self._moved(joint.dof), joints)
 
-    def _limited_tendons(self, joint: Joint) -> list[int]:
-        """Return the tendons with a limit whose length a joint changes."""
-        m, wraps = self.model, self._mujoco.mjtWrap
-        joints, bodies = m.dof_jntid[np.flatnonzero(self._follows[:, joint.dof])], self._moved(joint.dof)
-        found = []
-        for tendon in np.flatnonzero(m.tendon_limited):
-            path = m.tendon_adr[tendon] + np.arange(m.tendon_num[tendon])
-            kinds, objects = m.wrap_type[path], m.wrap_objid[path]
-            carried = np.isin(m.site_bodyid[objects[kinds == wraps.mjWRAP_SITE]], bodies)
-            if np.isin(objects[kinds == wraps.mjWRAP_JOINT], joints).any() or (carried.any() and not carried.all()):
-                found.append(int(tendon))
-        return found
+    def touching(self, joint: Joint, course: Course) -> tuple[str, str, int] | None:
+        """Return the two bodies whose contact acts on a joint most often, and in how many samples; None without one."""
+        return self._contacts.most(course.centre.position, self._moved(joint.dof))
 
     def _changed(self, joint: Joint, longer: float) -> Any:
         """Return the rigid bodies without the joint's own spring, damper and friction; see `terms`."""

@@ -287,11 +287,16 @@ class JointView(RigView):
 
     def _refuse_touching(self, seen: Sequence[Array], trials: Sequence[Trial]) -> None:
         """Raise TrialError for a joint that is hardly ever free; seen: its measured values, NaN where it is not."""
-        if (free := sum(int(np.isfinite(each).sum()) for each in seen)) < FREE_LEAST:
-            raise TrialError(
-                f"{trials[0].source}: {self._joint.name} is free of contacts and limits in {free} samples; needed are "
-                f"{FREE_LEAST}: record it in free motion, or move its column from `measured` to `base`"
-            )
+        if (free := sum(int(np.isfinite(each).sum()) for each in seen)) >= FREE_LEAST:
+            return
+        course = self._others.courses[0]
+        pair = self._mechanism.touching(self._joint, course)
+        touch = f": {pair[0]} touches {pair[1]} in {pair[2]} of {len(course.centre.position)}" if pair else ""
+        remedy = ", exclude this pair in the model if the robot's bodies do not touch" if pair else ""
+        raise TrialError(
+            f"{trials[0].source}: {self._joint.name} is free of contacts and limits in {free} samples; needed are "
+            f"{FREE_LEAST}{touch}; record it in free motion{remedy}, or move its column from `measured` to `base`"
+        )
 
     def _refuse_mistakes(self, trials: Sequence[Trial]) -> list[str]:
         """Raise TrialError if units, signs or gears of a trial certainly differ from the model's; return warnings.
