@@ -11,6 +11,7 @@ import numpy as np
 from softarm.common.quantity import PURE, factor
 from softarm.diagnosis.data.stage_rules import QUATERNION
 from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.describe import headers
 from softarm.diagnosis.describe.proposal import Answers, Draft, Proposal, Use
 from softarm.diagnosis.describe.survey import Signal, Survey
 
@@ -170,8 +171,8 @@ def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
 def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tuple[str, str]]) -> Survey:
     """Return the columns of a model's recordings by the model's names.
 
-    A name may end like a unit: `fl_kn` is no force in kN. A column of a sensor has the name of what the sensor reads;
-    the longest name wins.
+    A name may end like a unit: `fl_kn` is no force in kN. A word of a joint's own name gives no role: `right_w0` is no
+    set-point. A column of a sensor has the name of what the sensor reads; the longest name wins.
 
     Args:
         survey: columns of the recordings.
@@ -183,6 +184,9 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tu
 
     def read(signal: Signal) -> Signal:
         source, header = str(signal.source), signal.header
+        if header.role in ("command", "measured"):
+            header = replace(header, role=_role(source, joints))
+            signal = replace(signal, header=header)
         if header.unit is not None and any(n in _plain(source) and n not in _plain(header.name) for n in names):
             return replace(signal, header=replace(header, name=source, unit=None, quantity=""))
         own = _plain(header.name)
@@ -196,6 +200,15 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tu
         return replace(signal, header=replace(header, name=f"{name} {rests[sensor]}".strip(), quantity=quantity))
 
     return replace(survey, signals=tuple(map(read, survey.signals)))
+
+
+def _role(source: str, joints: Sequence[ModelJoint]) -> headers.Role:
+    """Return the role of a column by the words of its header that are not part of a joint's name."""
+    for name in sorted((joint.name for joint in joints), key=len, reverse=True):
+        rest, found = re.subn(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", " ", source, flags=re.IGNORECASE)
+        if found:
+            return headers.read(rest).role
+    return headers.read(source).role
 
 
 def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Mapping[str, Collection[str]]) -> dict[str, Signal]:

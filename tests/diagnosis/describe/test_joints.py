@@ -134,6 +134,19 @@ def test_a_joint_whose_name_ends_like_a_unit_is_found(tmp_path, columns):
     assert "Not used" not in text
 
 
+@pytest.mark.parametrize("suffix", ["", "_pos"])
+@pytest.mark.parametrize("joint", ["right_w0", "target_x", "input"])
+def test_words_in_a_joints_own_name_make_no_command(tmp_path, columns, joint, suffix):
+    """Baxter's wrists are called w0, w1 and w2, and w is a set-point to a control engineer."""
+    model = tmp_path / "baxter.xml"
+    model.write_text(ROBOTS["camera"].model.read_text().replace('"tilt"', f'"{joint}"'))
+    names = {"tilt": joint + suffix, "tilt_goal": f"{joint}_goal"}
+    channels, text = channels_of(tmp_path, model, {names.get(new, new): columns[old] for old, new, _ in USUAL})
+    assert channels["measured"]["columns"][joint]["source"] == joint + suffix
+    assert channels["command"]["columns"]["tilt_drive"]["source"] == f"{joint}_goal"
+    assert "Not used" not in text
+
+
 def test_two_models_are_refused(tmp_path):
     for name in ("a.xml", "b.xml"):
         shutil.copy(ROBOTS["camera"].model, tmp_path / name)
