@@ -261,7 +261,7 @@ def _poses(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, Signal]:
 
 def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured: Sequence[str]) -> TrialError:
     """Return the error of recordings without a driven or free joint; measured: joints without a command."""
-    columns = ", ".join(s.label for s in survey.signals)
+    columns = ", ".join(f"{s.label} (constant)" if s.is_constant else s.label for s in survey.signals)
     if measured:
         actuators = ", ".join(f"{j.actuator} of {j.name}" for j in joints if j.name in measured)
         problem = f"no column commands an actuator ({actuators})"

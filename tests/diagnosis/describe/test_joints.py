@@ -118,10 +118,13 @@ def test_a_column_with_the_name_of_an_actuator_is_its_command(tmp_path, columns)
 
 
 def test_measured_joints_without_any_command_are_an_error_that_names_their_actuators(tmp_path, columns):
-    result, stage = described(tmp_path, columns, [each for each in USUAL if "goal" not in each[1]])
-    assert result.exit_code == 1
-    assert stage is None
-    assert "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings" in result.output
+    still = [(old, new, 0.0 if "goal" in new else scale) for old, new, scale in USUAL]
+    for names in (still, [each for each in still if each[1] != "tilt_goal"]):
+        result, stage = described(tmp_path, columns, names)
+        assert result.exit_code == 1
+        assert stage is None
+        assert "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings" in result.output
+        assert "pan_goal (constant)" in result.output
 
 
 def test_a_joint_whose_name_ends_like_a_unit_is_found(tmp_path, columns):
