@@ -113,7 +113,7 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     chosen = " chosen" if name == verdict.where.stage else ""
     share = verdict.where.share.get(name)
-    most = 19 if share is None else 13  # letters beside the share
+    most = 18 if share is None else 11  # letters beside the share
     kind = "box" + chosen if name in gap.before or share is not None else "box absent"
     parts = [
         el("rect", x=x, y=y, width=_BOX_W, height=_BOX_H, rx=8, class_=kind),

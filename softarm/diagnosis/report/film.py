@@ -18,7 +18,8 @@ def drawing(film: Film) -> Html:
     views = _scaled(film)
     robots = [_robot(lines, film, id=f"film-{kind}") for kind, lines in views.items()]
     body = el("use", href="#film-measured", class_="body")
-    outlines = [el("use", href=f"#film-{kind}", class_=f"outline {kind}") for kind in views]
+    drawn = {"filter": "url(#film-outline)"}
+    outlines = [el("use", href=f"#film-{kind}", class_=f"outline {kind}", **drawn) for kind in views]
     factor = "" if film.factor == 1 else f"; deviations enlarged {number(film.factor, 3)} times"
     text = f"Mechanism in {film.trial} from {number(film.t_s[0], 3)} s, at half speed{factor}"
     return el(

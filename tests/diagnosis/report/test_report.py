@@ -172,7 +172,7 @@ def test_a_long_stage_name_leaves_room_for_its_share():
     where = Where(stage=long, share={long: 0.004}, regime="throughout")
     case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"where": where}))
     page = report.render(case)
-    assert f">{long[:12]}…<" in page
+    assert f">{long[:10]}…<" in page
     assert "&lt; 1 %" in page
 
 
