@@ -82,6 +82,21 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     assert named.parameters["torque"].value == pytest.approx(0.7, abs=0.02)
 
 
+def test_a_friction_beyond_its_tolerance_is_named_though_the_calibrated_gap_is_below_two_floors(tmp_path):
+    """The calibration takes all but 1.8 floors of a friction that is 35 % too large."""
+    text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8).replace(HARD, "")
+    simulated = mujoco.MjModel.from_xml_string(text)
+    simulated.dof_frictionloss[:] = 0.135
+    t = np.arange(300) / 100
+    for number in range(2):
+        turn = np.random.default_rng(number).uniform(0, 6, 2)
+        goals = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
+        simulate(simulated, tmp_path / f"run-{number}.csv", goals, read=lambda x: np.round(x, 3))
+    finding = examine(tables.read(described_model(tmp_path, text)))
+    assert [each.name for each in finding.named] == ["elbow.coulomb_friction"]
+    assert finding.named[0].parameters["torque"].value == pytest.approx(0.135, abs=0.005)
+
+
 def test_windows_end_where_a_leg_touches_the_ground(tmp_path):
     """The ground pushes the foot for part of each swing; a simulation through it would lead far away."""
     text = SERVO_MODEL.format(damping=0.05, dry=0.0, kp=60, limit=8).replace("<worldbody>", f"<worldbody>{GROUND}")
