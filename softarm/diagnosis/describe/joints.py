@@ -115,7 +115,9 @@ def _used(
         channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
         _add(found, {channel: {joint.name: _use(draft, measured, joint.unit, joint.widest)}, **driven})
         if channel == "base" and not joint.moved:
-            draft.notes.append(f"{joint.name} counts as moved from outside: no column commands {joint.actuator}")
+            still = any(s.is_constant and joint in _owners(s, joints) for s in draft.readings if s is not measured)
+            reason = f"the command of {joint.actuator} is constant" if still else f"no column commands {joint.actuator}"
+            draft.notes.append(f"{joint.name} counts as moved from outside: {reason}")
     carriers = {column for name in tracked for column in places[name.rpartition("_")[0]]}
     if carriers - found.get("measured", {}).keys() - found.get("base", {}).keys():
         found["mocap"] = _coordinates(draft, tracked)

@@ -98,9 +98,15 @@ def test_a_joint_that_no_column_measures_is_stated_before_the_diagnosis(tmp_path
 
 
 def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_path, columns):
-    _, stage = described(tmp_path, columns, [each for each in USUAL if each[1] != "tilt_goal"])
-    assert list(stage["channels"]["base"]["columns"]) == ["tilt"]
-    assert list(stage["channels"]["measured"]["columns"]) == ["pan"]
+    still = [(old, new, 0.0 if new == "tilt_goal" else scale) for old, new, scale in USUAL]
+    without = [each for each in still if each[1] != "tilt_goal"]
+    for names, reason in ((without, "no column commands tilt_drive"), (still, "the command of tilt_drive is constant")):
+        folder = tmp_path / reason.replace(" ", "-")
+        folder.mkdir()
+        _, stage = described(folder, columns, names)
+        assert list(stage["channels"]["base"]["columns"]) == ["tilt"]
+        assert list(stage["channels"]["measured"]["columns"]) == ["pan"]
+        assert f"tilt counts as moved from outside: {reason}" in (folder / "stage.yaml").read_text()
 
 
 def test_columns_without_a_joints_name_are_an_error_with_both_lists(tmp_path, columns):
