@@ -102,9 +102,10 @@ def _used(
         if joint.name in poses:
             found.setdefault("base", {})[joint.name] = _use(draft, poses[joint.name], joint.unit, joint.widest)
             continue
-        signals = [s for s in draft.moving if not s.elements and s not in taken and joint in _owners(s, joints)]
-        commands = [s for s in signals if draft.role(s) == "command" or _is_command(s, joint)]
-        driven = {"command": _sent(draft, joint, commands)}
+        own = [s for s in draft.readings if not s.elements and s not in taken and joint in _owners(s, joints)]
+        signals = [s for s in own if not s.is_constant]
+        commands = [s for s in own if draft.role(s) == "command" or _is_command(s, joint)]
+        driven = {"command": _sent(draft, joint, [s for s in commands if not s.is_constant])}
         if not driven["command"]:
             driven = {"torque": _torque(draft, joint, signals)}
         driven = {channel: columns for channel, columns in driven.items() if columns}
@@ -115,7 +116,7 @@ def _used(
         channel = "base" if joint.moved or (joint.actuator and not driven) else "measured"
         _add(found, {channel: {joint.name: _use(draft, measured, joint.unit, joint.widest)}, **driven})
         if channel == "base" and not joint.moved:
-            still = any(s.is_constant and joint in _owners(s, joints) for s in draft.readings if s is not measured)
+            still = any(s.is_constant for s in commands)
             reason = f"the command of {joint.actuator} is constant" if still else f"no column commands {joint.actuator}"
             draft.notes.append(f"{joint.name} counts as moved from outside: {reason}")
     carriers = {column for name in tracked for column in places[name.rpartition("_")[0]]}
@@ -263,7 +264,7 @@ def _poses(draft: Draft, joints: Sequence[ModelJoint]) -> dict[str, Signal]:
 
 def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured: Sequence[str]) -> TrialError:
     """Return the error of recordings without a driven or free joint; measured: joints without a command."""
-    columns = ", ".join(f"{s.label} (constant)" if s.is_constant else s.label for s in survey.signals)
+    columns = ", ".join(s.described for s in survey.signals)
     if measured:
         actuators = ", ".join(f"{j.actuator} of {j.name}" for j in joints if j.name in measured)
         problem = f"no column commands an actuator ({actuators})"

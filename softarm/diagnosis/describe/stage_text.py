@@ -175,7 +175,7 @@ def _path(path: Path, folder: Path) -> str:
 
 def _named(signals: Sequence[Signal]) -> str:
     """Names of columns, each with a reason against it if there is one."""
-    shown = [f"{s.label}{' (constant)' if s.is_constant else ''}" for s in signals[:_CANDIDATES_MAX]]
+    shown = [s.described for s in signals[:_CANDIDATES_MAX]]
     more = len(signals) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")
 

@@ -69,6 +69,11 @@ class Signal:
         """Return whether no reading differs from the first."""
         return not spread(self.all)
 
+    @property
+    def described(self) -> str:
+        """Return the label, with a note if the column is constant."""
+        return f"{self.label} (constant)" if self.is_constant else self.label
+
 
 @dataclass(frozen=True, slots=True)
 class Recorded:

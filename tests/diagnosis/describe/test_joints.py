@@ -100,8 +100,10 @@ def test_a_joint_that_no_column_measures_is_stated_before_the_diagnosis(tmp_path
 def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_path, columns):
     still = [(old, new, 0.0 if new == "tilt_goal" else scale) for old, new, scale in USUAL]
     without = [each for each in still if each[1] != "tilt_goal"]
-    for names, reason in ((without, "no column commands tilt_drive"), (still, "the command of tilt_drive is constant")):
-        folder = tmp_path / reason.replace(" ", "-")
+    missing, constant = "no column commands tilt_drive", "the command of tilt_drive is constant"
+    beside = [*without, ("cmd_tilt", "tilt_current", 0.0)]  # no command
+    for number, (names, reason) in enumerate(((without, missing), (beside, missing), (still, constant))):
+        folder = tmp_path / str(number)
         folder.mkdir()
         _, stage = described(folder, columns, names)
         assert list(stage["channels"]["base"]["columns"]) == ["tilt"]
