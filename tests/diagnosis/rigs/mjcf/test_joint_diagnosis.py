@@ -45,6 +45,15 @@ def encoder(positions):
     return np.round(positions, 4)
 
 
+def record_twice(folder, simulated, seconds, read):
+    """Record two motions of sines and steps of a servo at 100 Hz; read: its encoder."""
+    t = np.arange(round(100 * seconds)) / 100
+    for number in range(2):
+        turn = np.random.default_rng(number).uniform(0, 6, 2)
+        goals = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
+        simulate(simulated, folder / f"run-{number}.csv", goals, read=read)
+
+
 @pytest.fixture(scope="module")
 def camera(tmp_path_factory):
     """Three recordings of a camera that pans and tilts on a vehicle."""
@@ -67,11 +76,7 @@ def test_friction_that_creeps_as_in_mujoco_is_distinguished_from_friction_that_h
     nominal = text.replace(HARD, "")
     simulated = mujoco.MjModel.from_xml_string(nominal if creeps else text)
     simulated.dof_frictionloss[:] = 0.7
-    t = np.arange(150) / 100
-    for number in range(2):
-        turn = np.random.default_rng(number).uniform(0, 6, 2)
-        goals = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
-        simulate(simulated, tmp_path / f"run-{number}.csv", goals, read=encoder)
+    record_twice(tmp_path, simulated, 1.5, encoder)
     trials = tables.read(described_model(tmp_path, nominal))
     view, used = view_of(trials)
     settled(view, [trial.kind for trial in used.trials], used.origins)
@@ -87,11 +92,7 @@ def test_a_friction_beyond_its_tolerance_is_named_though_the_calibrated_gap_is_b
     text = SERVO_MODEL.format(damping=0.05, dry=0.1, kp=60, limit=8).replace(HARD, "")
     simulated = mujoco.MjModel.from_xml_string(text)
     simulated.dof_frictionloss[:] = 0.135
-    t = np.arange(300) / 100
-    for number in range(2):
-        turn = np.random.default_rng(number).uniform(0, 6, 2)
-        goals = 0.3 * np.sin(4 * t + turn[0]) + 0.2 * np.sign(np.sin(1.7 * t + turn[1]))
-        simulate(simulated, tmp_path / f"run-{number}.csv", goals, read=lambda x: np.round(x, 3))
+    record_twice(tmp_path, simulated, 3.0, lambda x: np.round(x, 3))
     finding = examine(tables.read(described_model(tmp_path, text)))
     assert [each.name for each in finding.named] == ["elbow.coulomb_friction"]
     assert finding.named[0].parameters["torque"].value == pytest.approx(0.135, abs=0.005)
