@@ -22,8 +22,9 @@ from softarm.common import batch
 from softarm.common.batch import JobsFailed, Work, Workers
 from softarm.common.cluster import ClusterError
 from softarm.diagnosis.data.trials import TrialError
+from validation.blind.cases import apportioned
 from validation.mechanisms.cases import ANY, draw_and_write
-from validation.rigs.benchmark import add_workers, answered, run
+from validation.rigs.benchmark import add_workers, answered, recorded, run
 
 # Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
 # that no effect expresses.
@@ -33,19 +34,23 @@ OUTCOMES = ("right", "set", "calibrated", "part", "silent", "wrong", "failed")
 
 def categories(count: int, random: np.random.Generator) -> list[str]:
     """Return a category for each case, in random order."""
-    found = [name for name, share in SHARES.items() for _ in range(round(share * count))]
-    found += ["single"] * (count - len(found))
-    return [str(each) for each in random.permutation(found[:count])]
+    found = [name for name, number in apportioned(SHARES, count).items() for _ in range(number)]
+    return [str(each) for each in random.permutation(found)]
 
 
 def make(folder: Path, count: int, seed: int, workers: Workers | None = None, category: str | None = None) -> int:
-    """Record the cases that are missing, all of one category if it is given, and return their number."""
+    """Record the cases that are missing, all of one category if it is given, and return their number.
+
+    Raises TrialError if the folder contains other cases of the same names.
+    """
     kinds = [category] * count if category else categories(count, np.random.default_rng(seed))
     names = [f"mechanism-{seed}-{i:03d}" for i in range(count)]
-    todo = {name: (i, name) for i, name in enumerate(names) if not (folder / "truths" / f"{name}.json").is_file()}
+    truths = folder / "truths"
+    done = recorded(truths, {name: {"category": kind} for name, kind in zip(names, kinds, strict=True)})
+    todo = {name: (i, name) for i, name in enumerate(names) if name not in done}
     work = Work(
         partial(_record, folder=folder, seed=seed, kinds=kinds),
-        writes=lambda case: [folder / "data" / case[1], folder / "truths" / f"{case[1]}.json"],
+        writes=lambda case: [folder / "data" / case[1], truths / f"{case[1]}.json"],
     )
     batch.run("recording", work, todo, workers).complete()
     return len(todo)

@@ -12,7 +12,7 @@ and faults are those of this package; `score.py` defines the outcomes.
 import argparse
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -32,24 +32,44 @@ from validation.rigs.score import counts, score, table, wrong_lines
 
 
 def make(cases: Sequence[RigCase], folder: Path, workers: Workers | None = None) -> None:
-    """Record the cases that are not complete yet; the truth of a case is written last."""
+    """Record the cases that are not complete yet; the truth of a case is written last.
+
+    Raises TrialError if the folder contains other cases of the same names.
+    """
     data, truths = folder / "data", folder / "truths"
-    todo = {case.name: case for case in cases if not (truths / f"{case.name}.json").is_file()}
+    done = recorded(truths, {case.name: case.truth for case in cases})
+    todo = {case.name: case for case in cases if case.name not in done}
     work = Work(
         partial(write, data=data, truths=truths), writes=lambda case: [data / case.name, truths / f"{case.name}.json"]
     )
     batch.run("recording", work, todo, workers).complete()
 
 
-def run(folder: Path, workers: Workers | None = None, only: Sequence[str] = ()) -> None:
-    """Answer every case, or those in `only`, and write the answers to FOLDER/answers.
+def recorded(truths: Path, cases: Mapping[str, Mapping[str, Any]]) -> set[str]:
+    """Return the names of the cases that a folder has the truth of.
 
-    Answers of the same tool to the same data are kept. Raises TrialError if the folder contains no such case.
+    Raises:
+        TrialError: The truth of a case of that name differs.
     """
-    found = sorted(path.parent for path in (folder / "data").glob("*/stage.yaml"))
-    cases = {case.name: case for case in found if not only or case.name in only}
+    found = set()
+    for name, truth in cases.items():
+        file = truths / f"{name}.json"
+        if not file.is_file():
+            continue
+        if any(value != _json(file).get(key) for key, value in truth.items()):
+            raise TrialError(f"{file}: belongs to other cases (--cases, --kind, --category); name a new folder")
+        found.add(name)
+    return found
+
+
+def run(folder: Path, workers: Workers | None = None) -> None:
+    """Answer every case and write the answers to FOLDER/answers.
+
+    Answers of the same tool to the same data are kept. Raises TrialError if the folder contains no case.
+    """
+    cases = {path.parent.name: path.parent for path in sorted((folder / "data").glob("*/stage.yaml"))}
     if not cases:
-        raise TrialError(f"{folder}: contains no such case; make some first (python -m {__spec__.name} make)")
+        raise TrialError(f"{folder}: contains no case; make some first (python -m {__spec__.name} make)")
     kept = Kept(
         lambda name: folder / "answers" / f"{name}.json",
         lambda name: {"tool": seal.tool_version(), "data": sha256_of(cases[name])},
@@ -97,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 write(case, folder / "data", folder / "truths")
                 print(folder / "data" / case.name / "stage.yaml")
             case "run":
-                run(folder, Workers(given.workers, given.ray), given.case or ())
+                run(folder, Workers(given.workers, given.ray))
             case _:
                 _print(folder)
     except (ValueError, KeyError, TrialError, JobsFailed, ClusterError) as error:
@@ -139,7 +159,6 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--excitation", action="append", help="excitation of a trial; may be repeated")
     ran = verbs.add_parser("run", help="diagnose every case; continues an interrupted run")
     ran.add_argument("folder", type=Path)
-    ran.add_argument("--case", action="append", help="only this case; may be repeated")
     for verb in (made, one):
         verb.add_argument("--seed", type=int, default=0)
     for verb in (made, ran):

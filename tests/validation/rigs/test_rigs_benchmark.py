@@ -5,6 +5,7 @@ import json
 import pytest
 
 from softarm.common.batch import Workers
+from softarm.diagnosis.data.trials import TrialError
 from validation.rigs import benchmark, sizes
 from validation.rigs.case import case_of
 from validation.rigs.score import WEAK, score
@@ -95,6 +96,8 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
     stage.write_text(stage.read_text() + "\n")
     benchmark.main(["run", str(tmp_path), "--workers", "1"])
     assert len(asked) == 2
+    with pytest.raises(TrialError, match=r"servo-dead_time.json: belongs to other cases"):
+        benchmark.make([case_of("servo", ["dead_time"], 0.5, 1, ["steps", "chirp"])], tmp_path, Workers(1))
     benchmark.main(["score", str(tmp_path)])
     assert "| all | 1 | 1 |" in capsys.readouterr().out
     assert json.loads((tmp_path / "score.json").read_text())["cases"][0]["outcome"] == "right"
