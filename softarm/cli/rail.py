@@ -187,10 +187,10 @@ def allowed() -> bool:
 
 
 def searched(drive: "DriveSession", speed_m_s: float) -> "Homed":
-    """Run the search, checking for SIGINT and SIGTERM at every poll instead of raising."""
+    """Run the search, checking for SIGINT, SIGTERM and SIGHUP at every poll instead of raising."""
     asked: list[int] = []
     leaves("the cart was braked and the drive is off; the search was NOT finished: home the axis before arming")
-    ends = (signal.SIGINT, signal.SIGTERM)
+    ends = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda got, _: asked.append(got)) for number in ends}
     try:
         with bar("homing", None) as progress:

@@ -142,16 +142,24 @@ def test_the_reset_fault_option_clears_a_fault_before_homing(bench: Bench) -> No
     bench.softarm("home", "--yes", "--reset-fault")
 
 
-def test_ctrl_c_brakes_and_reports_the_state(bench: Bench) -> None:
+@pytest.mark.parametrize(
+    ("number", "message", "code"),
+    [
+        (signal.SIGINT, "the cart was braked and the drive is off; the search was NOT finished", 130),
+        (signal.SIGTERM, "a person interrupted it", 1),
+        (signal.SIGHUP, "a person interrupted it", 1),
+    ],
+)
+def test_ctrl_c_and_a_closed_terminal_brake(bench: Bench, number: signal.Signals, message: str, code: int) -> None:
     def interrupt() -> None:
         if bench.position_m < -0.01:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
 
-    bench.on_the_way, before = interrupt, signal.getsignal(signal.SIGINT)
-    bench.refuses("the cart was braked and the drive is off; the search was NOT finished", "home", "--yes", code=130)
+    bench.on_the_way, before = interrupt, signal.getsignal(number)
+    bench.refuses(message, "home", "--yes", code=code)
     assert bench.drive.state is DriveState.READY
     assert bench.position_m > -0.02
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
 
 
 def test_with_a_relay_homing_waits_for_di7(bench: Bench) -> None:
