@@ -59,6 +59,8 @@ class Guard:
                 except TimeoutError:
                     refused = 408, f"the body did not arrive within {BODY_S:g} s; send it in one piece"
                 else:
+                    if body is None:
+                        return
                     refused = _too_long(b"%d" % len(body))
                     receive = _again(body, receive)
         if refused is None:
@@ -129,11 +131,13 @@ def _too_long(length: bytes) -> tuple[int, str] | None:
     return 413, f"the body has more than {BODY_MAX} bytes, the limit; see /docs for the bodies"
 
 
-async def _whole(receive: Receive) -> bytes:
-    """Read the body, at most one chunk beyond the limit."""
+async def _whole(receive: Receive) -> bytes | None:
+    """Read the body, at most one chunk beyond the limit; return None if the client left before its end."""
     body = b""
     while len(body) <= BODY_MAX:
         message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
         body += message.get("body", b"")
         if not message.get("more_body", False):
             break

@@ -9,6 +9,8 @@ from typing import TypeVar
 from softarm.daemon.api.refusals import Refused
 
 Result = TypeVar("Result")
+# Limits of listings and other short work on the disk.
+LISTINGS_MAX, LISTING_S = 8, 30.0
 
 
 class Workers:

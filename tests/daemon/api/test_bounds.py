@@ -108,6 +108,21 @@ def test_a_stop_does_not_wait_for_a_body(loop, plain, serving, length):
     assert [post.request.kind for post in loop.taken] == ["stop"]
 
 
+@pytest.mark.parametrize(("path", "kinds"), [("/api/arm", []), ("/api/stop", ["stop"])])
+def test_only_a_stop_is_carried_out_for_a_client_that_left_within_its_body(plain, loop, path, kinds):
+    scope = {"type": "http", "method": "POST", "path": path, "query_string": b"", "headers": [(b"host", b"127.0.0.1")]}
+    left = iter([{"type": "http.request", "body": b"{", "more_body": True}])
+
+    async def receive():
+        return next(left, {"type": "http.disconnect"})
+
+    async def send(message):
+        pass
+
+    asyncio.run(plain(scope, receive, send))
+    assert [post.request.kind for post in loop.taken] == kinds
+
+
 def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
     connection = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
     connection.sendall(sent)

@@ -1,10 +1,13 @@
 """Download, deletion and display of logs, reports and incidents over the API, and of no other file."""
 
+import asyncio
 import itertools
 import json
 import os
 import shutil
 import socket
+import threading
+import time
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -125,6 +128,34 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
             assert "1 downloads are running already" in refused.text
         until(lambda: len(httpx.get(url, timeout=WAIT_S).content) == 64_000_000)
     assert not is_open(folder / "flight.mcap")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("GET", "/api/logs/none.mcap/view", None),
+        ("POST", "/api/jobs", {"kind": "replay", "log": "none.mcap"}),
+        ("POST", "/api/jobs", {"kind": "diagnose", "logs": ["none.mcap"]}),
+    ],
+)
+def test_a_slow_disk_delays_no_other_request(client, folder, monkeypatch, method, path, body):
+    threads, opened = [], files._opened
+    monkeypatch.setattr(files, "_opened", lambda path: (threads.append(threading.current_thread()), opened(path))[1])
+    assert client.request(method, path, json=body).status_code == 404
+    assert threads != []
+    assert threading.main_thread() not in threads  # runs the event loop here
+
+
+def test_downloads_that_begin_together_are_limited_too(loop, app, config, folder, monkeypatch):
+    monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
+    opened = files._opened
+    monkeypatch.setattr(files, "_opened", lambda path: (time.sleep(0.2), opened(path))[1])
+
+    async def both(made):
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(made), base_url="http://127.0.0.1") as client:
+            return await asyncio.gather(*(client.get("/api/logs/flight.mcap") for _ in range(2)))
+
+    assert sorted(answer.status_code for answer in asyncio.run(both(app(loop, config)))) == [200, 503]
 
 
 def is_open(path: Path) -> bool:

@@ -20,7 +20,7 @@ from starlette.types import Receive, Scope, Send
 
 from softarm.daemon.api.bounds import WHO
 from softarm.daemon.api.refusals import Refused, answers, content, json_response
-from softarm.daemon.api.workers import Workers
+from softarm.daemon.api.workers import LISTING_S, LISTINGS_MAX, Workers
 from softarm.daemon.logbook import incidents
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.jobs import JobError
@@ -30,7 +30,6 @@ from softarm.recordings.log_file import listing
 from softarm.schemas.config import Config
 from softarm.schemas.rest import IncidentsAnswer, LogDeleted, LogsAnswer, ReportEntry, ReportsAnswer
 
-LISTINGS_MAX, LISTING_S = 8, 30.0
 DOWNLOADS_MAX = 4
 CHUNK_BYTES = 131_072
 OPEN = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # neither follow a link nor block on a pipe
@@ -96,12 +95,12 @@ class Files:
 
     async def view_log(self, request: Request, name: str) -> Response:
         """Return the player page of a log, sandboxed. Made in a separate process, one at a time."""
-        path = existing_log(self._logs, name)
+        path = await self._working.run("opening a log", partial(existing_log, self._logs, name))
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
             made = Path(folder, "page.html")
             verb = VerbProcess("logs", "view", str(path), "--no-open", "--out", str(made), limit_s=VIEW_S)
             await self._finished(request, verb)
-            page = made.read_bytes()
+            page = await self._working.run("reading a player page", made.read_bytes)
         return Response(
             page, media_type="text/html; charset=utf-8", headers=HEADERS | {"Content-Security-Policy": SANDBOX}
         )
@@ -149,9 +148,13 @@ class Files:
     async def _download(self, path: Path, kind: str, headers: dict[str, str]) -> Response:
         if self._downloads >= DOWNLOADS_MAX:
             raise Refused(503, f"{DOWNLOADS_MAX} downloads are running already: retry when one has finished")
-        file, size = await self._working.run("opening a file", partial(_opened, path))
-        headers |= HEADERS | {"Content-Length": str(size)}
         self._downloads += 1
+        try:
+            file, size = await self._working.run("opening a file", partial(_opened, path))
+        except BaseException:  # includes the cancellation of the request
+            self._downloads -= 1
+            raise
+        headers |= HEADERS | {"Content-Length": str(size)}
         return _Sent(file, size, kind, headers, self._sent)
 
     def _sent(self) -> None:

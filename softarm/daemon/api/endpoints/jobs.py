@@ -1,6 +1,7 @@
 """Endpoints for jobs: an excitation, a diagnosis or a replay. Their docstrings are the texts of /docs."""
 
 from datetime import UTC, datetime
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
@@ -14,6 +15,7 @@ from softarm.daemon.api.endpoints.files import existing_log
 from softarm.daemon.api.endpoints.policies import Policies
 from softarm.daemon.api.refusals import Refused, answers, json_response
 from softarm.daemon.api.status import StatusView
+from softarm.daemon.api.workers import LISTING_S, LISTINGS_MAX, Workers
 from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.excitation import Excitation
 from softarm.daemon.runtime.jobs import Busy, Work
@@ -37,12 +39,13 @@ class JobEndpoints:
         self._context, self._policies, self._view = context, policies, view
         self._logs = context.config.recorder.directory.absolute()
         self._reports = context.config.api.reports.absolute()
+        self._disk = Workers(LISTINGS_MAX, LISTING_S)
 
     def router(self) -> APIRouter:
         """Return the routes of these endpoints."""
         router = APIRouter(tags=["Jobs"], default_response_class=Response)
         router.get("/api/jobs", responses=answers(JobsAnswer))(self.jobs)
-        router.post("/api/jobs", responses=answers(JobEntry, 400, 404, 409, 422, 503))(self.start)
+        router.post("/api/jobs", responses=answers(JobEntry, 400, 404, 409, 422, 503, 504))(self.start)
         router.delete("/api/jobs/{number}", responses=answers(JobEntry, 404, 422))(self.cancel)
         return router
 
@@ -65,9 +68,10 @@ class JobEndpoints:
                 text, work = f"excitation {body.excitation}", self._excitation(body.excitation, request.scope[WHO])
             case DiagnoseBody():
                 report = f"diagnosis-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.html"
-                text, work = f"diagnosis of {', '.join(body.logs)}", self._diagnosis(body.logs, report)
+                text = f"diagnosis of {', '.join(body.logs)}"
+                work = await self._disk.run("preparing a diagnosis", partial(self._diagnosis, body.logs, report))
             case ReplayBody():
-                path = existing_log(self._logs, body.log)
+                path = await self._disk.run("opening a log", partial(existing_log, self._logs, body.log))
                 text, work = f"replay of {body.log}", self._verb("logs", "replay", str(path))
         try:
             entry = self._context.jobs.start(body.kind, text, work, report)

@@ -13,10 +13,9 @@ from fastapi.responses import Response
 from softarm import __version__
 from softarm.daemon.api.bounds import STREAMS_MAX
 from softarm.daemon.api.context import ApiContext
-from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX
 from softarm.daemon.api.refusals import Refused, answers, content, json_response, query_integer, refusal
 from softarm.daemon.api.status import POLL_S, Status, StatusView
-from softarm.daemon.api.workers import Workers
+from softarm.daemon.api.workers import LISTING_S, LISTINGS_MAX, Workers
 from softarm.daemon.control.records import EStop, Mode, Outputs
 from softarm.daemon.control.workspace import HINGE_Z_M
 from softarm.daemon.logbook import folder
@@ -32,6 +31,7 @@ from softarm.schemas.robot import CONTROL_RATE_HZ, RAIL_TRAVEL_M
 PROMETHEUS = "text/plain; version=0.0.4"
 Samples = Iterable[tuple[str, float]]  # written labels and value
 RECENT_S = 10.0  # time limit for encoding the last minutes
+RATE_MIN_HZ = 0.01  # of a stream
 UNHEALTHY: dict[int | str, dict[str, Any]] = {
     503: {"model": Health, "description": "the robot cannot be used; the answer states why"}
 }
@@ -128,8 +128,8 @@ class Observation:
             rate = float(hz)
         except ValueError:
             rate = math.nan
-        if not 0 < rate <= CONTROL_RATE_HZ:
-            reason = f"hz: is {hz[:20]!r}; allowed above 0, at most {CONTROL_RATE_HZ}"
+        if not RATE_MIN_HZ <= rate <= CONTROL_RATE_HZ:
+            reason = f"hz: is {hz[:20]!r}; allowed {RATE_MIN_HZ:g} to {CONTROL_RATE_HZ}"
             await socket.send_denial_response(refusal(422, (reason,)))
         elif self._streams >= STREAMS_MAX:
             reason = f"{STREAMS_MAX} clients already have a stream: close one, or GET /api/status"

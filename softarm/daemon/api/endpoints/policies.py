@@ -12,14 +12,13 @@ from softarm.common.words import did_you_mean
 from softarm.daemon.api.refusals import Refused, answers, json_response
 from softarm.daemon.api.requests import Requests
 from softarm.daemon.api.status import RequestAnswer, StatusView
-from softarm.daemon.api.workers import Workers
+from softarm.daemon.api.workers import LISTING_S, LISTINGS_MAX, Workers
 from softarm.policies import registry, trial, trusted
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Config
 from softarm.schemas.rest import PoliciesAnswer, PolicyAnswer, PolicyBody
 
-LISTINGS_MAX, LISTING_S = 8, 30.0
 LOADS_MAX, LOADING_S = 2, 120.0
 OF_SPEC = ("needs_target", "episode_steps", "trained", "sha256", "shelf_depth_m")
 # Built-in policies as an operator is likely to need them; others follow by name.
