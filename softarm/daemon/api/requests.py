@@ -36,6 +36,8 @@ class Requests:
         try:
             number = self._inbox.post(kind, goal=goal, policy=policy, runner=runner, who=request.scope[WHO])
         except InboxFull as error:
+            if runner is not None:
+                runner.close()
             raise Refused(503, str(error)) from error
         result = await self._result(kind, number, self._clock())
         if result is None:

@@ -93,7 +93,8 @@ class Jobs:
 
     def _run(self, number: int, work: Work, report: str | None) -> None:
         def progress(text: str, share: float | None) -> None:
-            self._change(number, progress=text, share=share)
+            with self._lock:
+                self._change(number, progress=text, share=share)
 
         changes: dict[str, object] = {"state": "failed"}
         try:
@@ -106,10 +107,9 @@ class Jobs:
             changes["sentences"] = (f"a defect in softarm: {type(error).__name__}: {error}; see the service's log",)
         if self._cancelled and changes["state"] == "failed":
             changes = {"state": "cancelled"}
-        self._change(number, ended=datetime.now(UTC), progress="", **changes)
         with self._lock:
+            self._change(number, ended=datetime.now(UTC), progress="", **changes)
             self._running = None
 
     def _change(self, number: int, **changes: object) -> None:
-        with self._lock:
-            self._entries[number] = self._entries[number].model_copy(update=changes)
+        self._entries[number] = self._entries[number].model_copy(update=changes)

@@ -72,7 +72,7 @@ def test_a_wrong_method_is_answered_with_the_allowed_ones(client):
     assert answer.headers["Allow"] == "DELETE, GET, POST"
 
 
-def test_health_names_devices_and_recorder(loop, tmp_path, app, client_of):
+def test_health_names_devices_and_recorder(loop, app, client_of):
     recorder = Recorder(Config())
     recorder.problem = "the log ends here: the disk is full"
     loop.problems = Problems(mocap="tcp/127.0.0.1:7447: listen: address in use; stop the other one")
@@ -237,6 +237,16 @@ def test_the_runner_of_a_refused_policy_ends(client, loop):
     for runner in {thread for thread in threading.enumerate() if thread.name == "policy pid"} - before:
         runner.join(60)
         assert not runner.is_alive()
+
+
+def test_the_runner_of_a_policy_that_found_the_inbox_full_ends(silent):
+    client, stalled = silent
+    for _ in range(16):
+        stalled.inbox.post("arm")
+    before = set(threading.enumerate())
+    answer = client.put("/api/policy", json={"name": "pid"})
+    assert (answer.status_code, "has not taken the last 16 requests" in answer.text) == (503, True)
+    assert [thread for thread in set(threading.enumerate()) - before if thread.name == "policy pid"] == []
 
 
 def test_a_policy_that_never_loads_delays_neither_the_next_nor_the_end(loop, app, serving, shelf, monkeypatch):

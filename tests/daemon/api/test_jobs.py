@@ -4,8 +4,11 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -13,6 +16,7 @@ from click.testing import CliRunner
 from softarm.cli.main import main
 from softarm.daemon.control.records import Mode
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime import jobs as jobs_module
 from softarm.daemon.runtime import verb_process
 from softarm.daemon.runtime.jobs import Done, JobError, Jobs
 from softarm.schemas.config import Config
@@ -126,6 +130,28 @@ def test_a_job_keeps_its_result(jobs, error, state, sentence):
     jobs.start("replay", "replay of x", Raises(error))
     until(lambda: jobs.entries[0].ended)
     assert (jobs.entries[0].state, jobs.entries[0].sentences) == (state, (sentence,))
+
+
+class SlowLock:
+    """Lock after whose release another thread runs first, as on a busy computer."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+
+    def __enter__(self):
+        self._lock.acquire()
+
+    def __exit__(self, *_):
+        self._lock.release()
+        time.sleep(0.01)
+
+
+def test_a_job_that_has_ended_excludes_no_other(monkeypatch):
+    monkeypatch.setattr(jobs_module, "threading", SimpleNamespace(Lock=SlowLock, Thread=threading.Thread))
+    jobs = Jobs()
+    for number in range(5):
+        jobs.start("replay", f"replay {number}", Raises(None))
+        until(lambda: jobs.entries[0].state == "done")
 
 
 WRONG = (
