@@ -9,6 +9,7 @@ import fcntl
 import json
 import logging
 import os
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -178,11 +179,22 @@ def _no_place(path: Path, error: OSError) -> str:
     )
 
 
+def _create(path: Path) -> None:
+    """Create the file without a stop, unless another daemon has just created it: that one may hold its lock."""
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        files.write_bytes(draft, encoded(Stop()))
+        with contextlib.suppress(FileExistsError):
+            os.link(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
 def _opened(path: Path) -> tuple[int, bytes]:
     """Open and lock the file, creating one without a stop if necessary; return descriptor and content."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        files.write_bytes(path, encoded(Stop()))
+        _create(path)
     descriptor = os.open(path, os.O_RDWR)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

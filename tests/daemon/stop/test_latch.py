@@ -144,7 +144,7 @@ def test_a_left_stop_keeps_its_time_until_the_next_one(path):
         assert keeper.left_at == datetime(2027, 1, 15, 8, 16, 40, 250_000, UTC)
 
 
-def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch, caplog):
+def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch):
     monkeypatch.setattr(latch, "RETRY_S", 0.01)
     write = os.pwrite
     broken = threading.Event()
@@ -189,6 +189,21 @@ def test_a_second_daemon_of_the_same_robot_is_refused(path):
             LatchKeeper(path).start()
         first.note(WHY)
         until(lambda: killed(path) == WHY)
+
+
+def test_a_daemon_that_starts_at_the_same_moment_is_refused(path, monkeypatch):
+    write, other = latch.files.write_bytes, LatchKeeper(path)
+
+    def write_after_the_other(*arguments):
+        monkeypatch.setattr(latch.files, "write_bytes", write)
+        other.start()
+        write(*arguments)
+
+    monkeypatch.setattr(latch.files, "write_bytes", write_after_the_other)
+    with pytest.raises(LatchError, match="another daemon controls this robot"):
+        LatchKeeper(path).start()
+    assert [each.name for each in path.parent.iterdir()] == [path.name]
+    other.stop()
 
 
 def test_an_unwritable_directory_is_reported(tmp_path):
