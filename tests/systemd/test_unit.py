@@ -71,6 +71,10 @@ def test_the_serial_port_and_real_time_stay_available(service):
     assert "CPUSchedulingPolicy" not in service
 
 
+def test_the_daemon_can_read_the_processor_and_the_open_ports(service):
+    assert "ProcSubset" not in service  # hides /proc/cpuinfo and /proc/net/tcp
+
+
 def test_the_rule_gives_the_daemon_access_and_excludes_modemmanager():
     text = (SYSTEMD / "99-softarm.rules").read_text().replace("\\\n", " ")
     rules = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]

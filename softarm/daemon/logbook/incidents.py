@@ -19,7 +19,7 @@ from softarm.common import files, revision
 from softarm.daemon.access.auth import TOKEN_FILES
 from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook import folder
-from softarm.daemon.logbook.ticks import PACKAGES, TickFile
+from softarm.daemon.logbook.ticks import TickFile, running_software
 from softarm.policies.base import PolicySpec
 from softarm.recordings import log_file
 from softarm.recordings.live import LogMessage
@@ -139,7 +139,7 @@ def write(directory: Path, config: Config, incident: Incident) -> Path:
     stem = f"incident-{stop.time:%Y%m%dT%H%M%SZ}"
     names = (f"{stem}{suffix}.zip" for suffix in ("", *(f"-{n}" for n in range(2, 1000))))
     path = next(directory / name for name in names if not (directory / name).exists())
-    software, machine = revision.software(PACKAGES), revision.machine()
+    software, machine = running_software(), revision.machine()
     with TemporaryDirectory(prefix="softarm-") as scratch:
         ticks = Path(scratch) / "log.mcap"
         with ticks.open("wb") as file:

@@ -5,6 +5,7 @@ A new measurement is written once, on its own channel; /tick names the ones it u
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, BinaryIO
 
 from softarm.common import revision
@@ -150,6 +151,12 @@ class Joiner:
 PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
 
 
+@lru_cache
+def running_software() -> dict[str, str]:
+    """Return the versions at the first call, for the daemon's first log: a later commit is not the running one."""
+    return revision.software(PACKAGES)
+
+
 class TickFile(LiveFile):
     """Live file of ticks with the metadata that a reader needs."""
 
@@ -167,7 +174,7 @@ class TickFile(LiveFile):
     ) -> None:
         """Write the log's metadata: configuration, software, clocks, run and policy."""
         self.note(log.CONFIGURATION, {"json": config.model_dump_json()})
-        self.note(log.SOFTWARE, {**revision.software(PACKAGES), log.FORMAT_KEY: str(log.FORMAT)})
+        self.note(log.SOFTWARE, {**running_software(), log.FORMAT_KEY: str(log.FORMAT)})
         self.note(log.MACHINE, revision.machine())
         self.note(
             log.CLOCK,

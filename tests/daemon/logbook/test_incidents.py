@@ -145,6 +145,21 @@ def test_an_incident_has_earlier_readings_that_its_ticks_used(tmp_path):
     assert {inputs.pressure.pressure_kpa for inputs in ticks} == {2.5}
 
 
+def test_later_logs_and_incidents_name_the_revision_of_the_first_log(tmp_path, monkeypatch):
+    for part in ("first", "later"):
+        recorder = Recorder(config_of(tmp_path / part), Hold().spec)
+        recorder.start()
+        stop = Outputs(1, 1, 0, 0, 0, Mode.STOPPED, EStop.CLEAR, last_stop="a hand", last_stop_ns=1)
+        recorder.tick(Inputs(1), stop, TickTiming(0, 0, 0, None))
+        recorder.stop()
+        monkeypatch.setattr("softarm.common.revision.revision", lambda: "a later commit")
+    revisions = {logs.read(path).metadata["software"]["git_revision"] for path in tmp_path.rglob("*.mcap")}
+    for path in tmp_path.rglob("*.zip"):
+        with zipfile.ZipFile(path) as archive:
+            revisions.add(json.loads(archive.read("versions.json"))["git_revision"])
+    assert len(revisions) == 1
+
+
 @pytest.mark.slow
 def test_stops_within_seconds_share_one_incident_and_the_last_is_written_at_the_end(tmp_path):
     flight = Flight(config_of(tmp_path))
