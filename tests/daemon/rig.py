@@ -13,6 +13,8 @@ from softarm.schemas.goals import Goal
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
 
 PERIOD_NS = 33_333_333
+# Failsafe settings for a busy machine, which skips ticks: they must neither refuse a request nor stop the arm.
+BUSY_MACHINE = {"missed_ticks_max": 30} | dict.fromkeys(("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0)
 
 
 STEADY = PolicySpec("steady", "for tests")

@@ -114,12 +114,12 @@ class ControlLoop:
             runner.run(self._run())
 
     async def _run(self) -> None:
-        for device in self._devices.all():
-            device.start()
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # collected explicitly in the idle part of a tick
         try:
+            for device in self._devices.all():
+                device.start()
+            gc.collect()
+            gc.freeze()
+            gc.disable()  # collected explicitly in the idle part of a tick
             deadline = time.monotonic_ns() + PERIOD_NS
             while not self._stop.is_set():
                 while (left := deadline - AWAKE_NS - time.monotonic_ns()) > 0:

@@ -119,7 +119,7 @@ class DryveRailAxis:
         self._loss_unread = False
         self._ended = asyncio.Event()
         self._stopping = False
-        self._reaping: list[asyncio.Task[None]] = []
+        self._reaping: set[asyncio.Task[None]] = set()
 
     def start(self) -> None:
         """Start the process, which connects by itself, and a spare."""
@@ -199,15 +199,18 @@ class DryveRailAxis:
 
     def _start_process(self) -> Process | None:
         """Return a new process, or None if the system refuses it now."""
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        ours.setblocking(False)
-        with theirs:
-            try:
-                return Process(self._launch(settings_of(self._config), theirs, self._priority), ours)
-            except OSError as error:
-                ours.close()
-                log.error("the rail's process cannot be started (%s); trying again", error)
-                return None
+        try:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            ours.setblocking(False)
+            with theirs:
+                try:
+                    return Process(self._launch(settings_of(self._config), theirs, self._priority), ours)
+                except OSError:
+                    ours.close()
+                    raise
+        except OSError as error:
+            log.error("the rail's process cannot be started (%s); trying again", error)
+            return None
 
     def _activate(self) -> None:
         """Let the spare, or else a new process, control the drive; try again if there is none."""
@@ -302,7 +305,9 @@ class DryveRailAxis:
         process.line.close()
         process.child.kill()
         assert self._loop is not None
-        self._reaping.append(self._loop.create_task(_reap(process.child)))
+        task = self._loop.create_task(_reap(process.child))
+        self._reaping.add(task)
+        task.add_done_callback(self._reaping.discard)
 
 
 async def _reap(child: "subprocess.Popen[bytes]") -> None:

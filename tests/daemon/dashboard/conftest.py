@@ -13,12 +13,11 @@ from softarm.common import http
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
+from tests.daemon.rig import BUSY_MACHINE
 
 TIMEOUT_MS = 60_000
 # Longer than a configuration allows: a busy machine skips ticks for seconds, which must not stop a simulated arm.
-FAILSAFE = {"missed_ticks_max": 10_000, "policy_budget_s": 60.0} | dict.fromkeys(
-    ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
-)
+FAILSAFE = BUSY_MACHINE | {"missed_ticks_max": 10_000, "policy_budget_s": 60.0}
 # Messages of the browser for every answer of 400 and more and every failed connection.
 EXPECTED_MESSAGES = re.compile(r"Failed to load resource|WebSocket connection to|net::ERR_|blocked by CORS policy")
 

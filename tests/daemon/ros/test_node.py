@@ -18,6 +18,7 @@ from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import MocapFrame, Pose
 from softarm.schemas.policy import Observation
+from tests.daemon.rig import BUSY_MACHINE
 from tests.processes import free_port, until
 
 typesys = pytest.importorskip("rosbags.typesys")
@@ -247,12 +248,10 @@ def test_a_node_that_was_not_started_can_be_stopped():
 @pytest.mark.timeout(120)
 def test_a_goal_and_a_stop_reach_the_daemon(router, tmp_path):
     ros = {"router": router.endpoint, "commands": "all"}
-    # A busy machine stalls the loop for a while; a stop would end the goal before it is published.
-    stale = dict.fromkeys(("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0)
     config = Config.model_validate(
         {
             "api": {"port": 0, "stop_port": 0},
-            "failsafe": stale | {"missed_ticks_max": 30},
+            "failsafe": BUSY_MACHINE,  # a stop would end the goal before it is published
             "recorder": {"directory": tmp_path},
             "control": {"realtime_priority": 0, "policy": "pid"},
             "ros": ros,

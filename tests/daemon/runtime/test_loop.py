@@ -22,7 +22,7 @@ from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import SAFE
-from tests.daemon.rig import Rig, Steady
+from tests.daemon.rig import BUSY_MACHINE, Rig, Steady
 
 WAIT_S = 20.0
 
@@ -98,10 +98,7 @@ class Loop:
 
 @pytest.mark.slow
 def test_the_loop_arms_on_request_and_writes_every_tick():
-    # A busy machine skips ticks, which must neither refuse the request nor stop the arm.
-    stale = dict.fromkeys(("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0)
-    tolerant = Config.model_validate({"failsafe": stale | {"missed_ticks_max": 30}})
-    with Loop(Controller(tolerant, InlineRunner(Hold()))) as loop:
+    with Loop(Controller(Config(failsafe=BUSY_MACHINE), InlineRunner(Hold()))) as loop:
         loop.until(lambda outputs: not outputs.arming_refusals)
         number = loop.inbox.post("arm")
         loop.until(lambda _: any(outputs.mode is Mode.ARMED for outputs in loop.ticks))
@@ -203,6 +200,20 @@ def test_stopping_tries_every_device_even_if_others_fail_and_ends_the_thread(cap
     assert loop.devices.mocap.stopped
     assert "no route" in caplog.text
     assert not loop.loop._thread.is_alive()
+    assert gc.isenabled()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_device_that_cannot_start_leaves_the_others_stopped(monkeypatch):
+    def fail():
+        raise OSError("no more processes")
+
+    loop = Loop()
+    monkeypatch.setattr(loop.devices.rail, "start", fail, raising=False)
+    with loop:
+        pass
+    assert loop.devices.mocap.stopped
+    assert loop.devices.regulator.stopped
     assert gc.isenabled()
 
 

@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -275,6 +276,19 @@ async def test_a_process_that_cannot_be_started_is_tried_again(
             await until(lambda: "cannot be started (no more processes)" in caplog.text, lambda: steer(True))
             refused = False
             await until(lambda: is_off(drive) and axis.problem() is None, lambda: steer(False))
+
+
+async def test_without_a_free_descriptor_the_process_is_started_later(
+    free_port: int, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> Any:
+        raise OSError("too many open files")
+
+    axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
+    monkeypatch.setattr(socket, "socketpair", refuse)
+    async with running(axis):
+        monkeypatch.undo()
+        await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
 
 
 async def test_a_delay_of_the_control_loop_leaves_the_process_alone(moving: Any, until: Any) -> None:
