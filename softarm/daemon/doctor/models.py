@@ -46,7 +46,7 @@ def look(config: Config, measured: bool = True) -> Models:
     others = (f"policies.{each}: {entries[each].error}" for each in config.policies if entries[each].error)
     facts = Models(ort.__version__, goldens, name, unusable=tuple(others))
     try:
-        policy = trial.ready(registry.load(name, config.policies))
+        policy = trial.load(name, config.policies, trial.TRIAL_S)
     except PolicyError as error:
         return replace(facts, error=str(error))
     try:

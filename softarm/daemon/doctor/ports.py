@@ -90,12 +90,14 @@ def look_axis(host: str, port: int) -> Axis:
 
 
 def is_connected(host: str, port: int) -> bool:
-    """Return whether this computer holds a connection to an IPv4 address, from /proc/net/tcp."""
+    """Return whether this computer holds a connection to an IPv4 address of a host, from /proc/net/tcp."""
     try:
-        wanted = f"{struct.unpack('=I', socket.inet_aton(host))[0]:08X}:{port:04X}"
-    except OSError:
+        families = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
         return False
-    return any(row[2:4] == [wanted, ESTABLISHED] for row in sockets.entries(Path("/proc/net/tcp")))
+    numbers = (struct.unpack("=I", socket.inet_aton(str(where[0])))[0] for *_, where in families)
+    wanted = [[f"{number:08X}:{port:04X}", ESTABLISHED] for number in numbers]
+    return any(row[2:4] in wanted for row in sockets.entries(Path("/proc/net/tcp")))
 
 
 def holder(path: str) -> str | None:
@@ -153,9 +155,9 @@ def ros_router(ros: Ros) -> Iterator[Finding]:
         return
     try:
         socket.create_connection(ros.address, timeout=CONNECT_S).close()
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         advice = "start it (`ros2 run rmw_zenoh_cpp rmw_zenohd`), or correct ros.router"
-        yield warning("ROS 2", f"{ros.router}: {error.strerror or error}", advice)
+        yield warning("ROS 2", f"{ros.router}: {getattr(error, 'strerror', None) or error}", advice)
     else:
         yield ok("ROS 2", f"{ros.router} takes a connection; topics under /{ros.name}, commands: {ros.commands}")
 

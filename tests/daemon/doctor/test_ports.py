@@ -92,6 +92,14 @@ def test_an_axis_in_use_by_this_computer_is_not_contacted(drive):
     assert only(ports.judge_axis(facts)).state is State.PROBLEM
 
 
+def test_a_connection_is_found_by_the_name_of_its_host(drive):
+    port = drive.getsockname()[1]
+    assert not ports.is_connected("localhost", port)
+    with socket.create_connection(("127.0.0.1", port)):
+        assert ports.is_connected("localhost", port)
+    assert not ports.is_connected("a..b", port)
+
+
 def test_axis_findings():
     assert only(ports.judge_axis(Axis("a:502", connect_ms=0.5))).state is State.OK
     assert only(ports.judge_axis(Axis("a:502", connect_ms=30.0))).state is State.WARNING
@@ -157,3 +165,4 @@ def test_a_silent_ros_router_does_not_prevent_a_flight():
     gone = only(ports.ros_router(ros))
     assert (gone.state, gone.figure) == (State.WARNING, f"{ros.router}: Connection refused")
     assert "rmw_zenohd" in gone.advice
+    assert only(ports.ros_router(Ros(router="tcp/exa mple..:1"))).state is State.WARNING

@@ -131,6 +131,12 @@ def test_a_missing_and_a_broken_policy_are_reported():
     assert "did you mean 'reach'" in findings[1].figure
 
 
+def test_the_first_step_of_a_policy_has_a_time_limit(monkeypatch):
+    monkeypatch.setattr(models.trial, "TRIAL_S", 0.0)
+    error = models.look(Config(control=Control(policy="hold"))).error
+    assert error == "policy 'hold': no first step within 0 s; repair the policy or choose another"
+
+
 @pytest.mark.parametrize(
     ("steps_ms", "state"),
     [
