@@ -1,7 +1,7 @@
 // The login. The page sends the token once; scripts cannot read the cookie that replaces it.
 
 import { get, post, onLoggedOut } from "./api.js";
-import { $, el, render, setText, sentence } from "../view/dom.js";
+import { $, el, render, setText, words } from "../view/dom.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 
 export class Session {
@@ -45,7 +45,7 @@ export class Session {
       this.take(await post("api/login", { token: field.value.trim() }));
       setText($("login-said"), "");
     } catch (error) {
-      setText($("login-said"), (error.reasons ?? [String(error)]).map(sentence).join(". "));
+      setText($("login-said"), words(error));
     }
     field.value = "";
   }

@@ -2,8 +2,8 @@
 
 import { ask } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
-import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
-import { Panel, words } from "./panel.js";
+import { bytes, clock, el, seconds, sentence, worded, words } from "../view/dom.js";
+import { Panel } from "./panel.js";
 
 const CONFIRM = "Delete permanently?";
 const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;

@@ -2,8 +2,8 @@
 
 import { ask, get, post } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
-import { clock, el, seconds, sentence, worded } from "../view/dom.js";
-import { LISTING_S, Panel, words } from "./panel.js";
+import { clock, el, seconds, sentence, worded, words } from "../view/dom.js";
+import { LISTING_S, Panel } from "./panel.js";
 
 const EVERY_MS = 1000;
 const FOCUS_MS = 100; // longest time for which a report keeps the keyboard

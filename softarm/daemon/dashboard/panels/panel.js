@@ -1,12 +1,9 @@
 // The base of all panels: loads the content and shows progress or the error.
 
 import { get } from "../link/api.js";
-import { el, sentence, update, worded } from "../view/dom.js";
+import { el, update, words } from "../view/dom.js";
 
 export const LISTING_S = 35; // the daemon's own limit is 30 s
-
-// Return the reasons of a refusal, or the error, as sentences.
-export const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
 
 export class Panel {
   // fill(answer) of a panel shows the answer of its path.

@@ -2,7 +2,7 @@
 
 import { get } from "../link/api.js";
 import { STORED_S } from "../link/history.js";
-import { $, clock, sentence, setText, worded } from "../view/dom.js";
+import { $, clock, sentence, setText, words } from "../view/dom.js";
 import { AFTER_S, cutSwing, secondsOf } from "./cut.js";
 import { Replay } from "./replay.js";
 import { save } from "./save.js";
@@ -40,7 +40,7 @@ export class LastSwing {
 
   async load(goal, title) {
     this.wanted = goal;
-    const swing = await this.fetched(goal).catch((error) => String(error.reasons?.map((one) => sentence(worded(one))).join(". ") ?? error));
+    const swing = await this.fetched(goal).catch(words);
     if (this.wanted !== goal) return; // another goal was chosen meanwhile
     if (typeof swing === "string") return void setText($("swing-note"), swing);
     this.swing = swing;

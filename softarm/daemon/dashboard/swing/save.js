@@ -27,7 +27,7 @@ const inlined = (code) => code.replaceAll("</script", "<\\/script");
 const json = (value) => JSON.stringify(value).replaceAll("<", "\\u003c");
 
 // Return the page of a swing as text.
-export async function pageOf(swing) {
+async function pageOf(swing) {
   const styles = await Promise.all([...document.querySelectorAll("link[rel=stylesheet]")].map((link) => text(link.href)));
   const scripts = await Promise.all([...document.querySelectorAll("script[src]:not([type])")].map((script) => text(script.src)));
   const imports = Object.fromEntries(Object.entries(await modules(ROOT)).map(([name, code]) => [name, `data:text/javascript;charset=utf-8,${encodeURIComponent(code)}`]));

@@ -36,7 +36,7 @@ const BUTTONS = {
 };
 
 // Show the result of a request below the drawing, with the daemon's reasons.
-export function showResult(kind, title, reasons = []) {
+function showResult(kind, title, reasons = []) {
   const list = reasons.length ? el("ul", {}, reasons.map((reason) => el("li", {}, sentence(worded(reason))))) : null;
   $("said").replaceChildren(el("div", { class: `notice ${kind}` }, el("b", {}, title), list));
 }

@@ -90,3 +90,5 @@ const HERE = [
 export const worded = (text) => HERE.reduce((worded, [request, button]) => worded.replace(request, button), text);
 // Capitalise the first letter, unless the text starts with a key of the API.
 export const sentence = (text) => (/^[a-z]+(?![a-z]*[_:=])\b/.test(text) && !/^[yz] /.test(text) ? text.charAt(0).toUpperCase() + text.slice(1) : text);
+// Return the reasons of a refusal, or the error, as sentences.
+export const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
