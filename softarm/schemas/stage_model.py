@@ -214,8 +214,8 @@ def _complaint(key: ModelKey, value: object, links: int) -> str:
         value = [value]
     elif key.each == "one":
         return f"is a list; allowed one number, {key}; write one"
-    if bad := next((each for each in value if not key.takes(each)), None):
-        return key.complaint(bad)
+    if bad := [each for each in value if not key.takes(each)]:
+        return key.complaint(bad[0])
     least = links - 1 if key.name == "length_m" else links
     if not least <= len(value) <= links and not (len(value) == 1 and key.default is not None):
         count = f"{len(value)} number{'s' * (len(value) != 1)}"

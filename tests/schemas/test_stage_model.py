@@ -52,6 +52,8 @@ def test_a_valid_model_has_no_error(kind, model, links):
         ("chain", {**CHAIN, "mass_kg": [1, 2, 3]}, 2, "mass_kg", "has 3 numbers, the stage has 2 links"),
         ("chain", {**CHAIN, "mass_kg": 0.2}, 2, "mass_kg", "has 1 number, the stage has 2 links; write a list with"),
         ("chain", {**CHAIN, "mass_kg": [1, -2]}, 2, "mass_kg", "is -2; allowed above 0 kg"),
+        ("chain", {**CHAIN, "mass_kg": [1, 0]}, 2, "mass_kg", "is 0; allowed above 0 kg"),
+        ("chain", {**CHAIN, "mass_kg": [1, None]}, 2, "mass_kg", "allowed above 0 kg"),
         ("chain", {k: v for k, v in CHAIN.items() if k != "length_m"}, 2, "", "2 links need length_m"),
     ],
 )
