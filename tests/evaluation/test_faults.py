@@ -75,7 +75,7 @@ def test_seeds_of_one_policy_have_columns_of_their_own(flown):
 def test_the_files_of_the_configuration_travel_to_a_cluster(monkeypatch):
     seen, file = [], MODELS / "reach.onnx"
     config = Config.model_validate({"policies": {"mine": {"plugin": "onnx", "options": {"model": str(file)}}}})
-    monkeypatch.setattr(faults, "run", lambda text, work, jobs, workers: seen.append(work) or Batch())
+    monkeypatch.setattr(faults, "run", lambda text, work, jobs, workers: seen.append(work) or Batch({}, {}))
     with pytest.raises(KeyError):  # no job has run
         faults.measure([Entry("mine")], config=config)
     assert list(seen[0].reads((Entry("mine"), "none"))) == [file]

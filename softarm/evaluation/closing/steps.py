@@ -37,9 +37,8 @@ SIMULATED = 108  # draws of the old policy on each simulator
 
 
 class Options(NamedTuple):
-    """Ways that are compared, and the largest number of draws for each."""
+    """Policy that is compared as well, and the largest number of draws for each way."""
 
-    replanned: bool = True  # `mppi` on the patched model
     adaptive: Path | None = None  # ONNX file of a policy that needs no diagnosis; None: no such policy
     draws: int = MOST
 
@@ -54,8 +53,8 @@ def close(
     config: RetrainingConfig,
     spent: Spent,
     options: Options,
-    through: Callable[[Closed], Wires | None] = lambda closed: None,
-    report_way: Callable[[str], None] = lambda text: None,
+    through: Callable[[Closed], Wires | None],
+    report_way: Callable[[str], None],
 ) -> Closed:
     """Compare the ways to use a diagnosis with the old policy, and write all results to `out`.
 
@@ -97,7 +96,7 @@ def close(
             for place in simulated
         }
     closed = replace(closed, flown=flown)
-    if found.patched is not None and options.replanned:
+    if found.patched is not None:
         closed = _compared(closed, REPLANNED, Replanning(out / PATCH), out, options, report_way)
     if options.adaptive is not None:
         closed = _compared(closed, ADAPTIVE, options.adaptive, out, options, report_way)

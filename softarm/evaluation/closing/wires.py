@@ -122,10 +122,10 @@ class Bench(SoftwareInTheLoop):
         settings["control"]["policy"] = NAMES[OLD]
         self._of_twin = twin
         if twin is not None:
-            for device, *addresses in (("mocap", "endpoint"), ("regulator", "port"), ("rail", "host", "port")):
-                for address in addresses:
-                    del settings["drivers"][device][address]
-            del settings["api"], settings["recorder"]
+            for device, address in (("regulator", "port"), ("rail", "host"), ("rail", "port")):
+                del settings["drivers"][device][address]
+            # The configured camera plug-in and ROS router belong to the real robot.
+            del settings["drivers"]["mocap"], settings["ros"], settings["api"], settings["recorder"]
         elif settings["api"]["port"] == 0:
             del settings["api"]["port"], settings["api"]["stop_port"]
         super().__init__(Path(logs), settings)

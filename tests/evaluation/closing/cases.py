@@ -5,7 +5,8 @@ from softarm.daemon.limits.measured import Bound, Measured, measure
 from softarm.evaluation.closing.fly import Replanning
 from softarm.policies.mppi.policy import Mppi
 from softarm.schemas.config import Config
-from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
+from softarm.schemas.verdict import Verdict
+from tests.diagnosis.verdicts import effect, gap, rms, verdict
 
 UNSEEN = measure((), 6.0)
 
@@ -23,17 +24,10 @@ def findings(config: Config, measured: Measured = UNSEEN) -> RailFindings:
 
 def named(name: str, value: float, high: float) -> Verdict:
     """Return a verdict that names a delay, s."""
-    effect = NamedEffect(
-        name=name,
-        parameters={"delay": Estimate(value=value, low=value, high=high, unit="s")},
-        confidence=0.9,
-        shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
-    )
     stage = name.partition(".")[0]
-    where = Where(stage=stage, share={stage: 1.0}, regime="throughout")
-    level = {stage: Quantity(value=0.1, unit="kPa")}
-    gap = Gap(before=level, after=level, floor=level, ceiling={})
-    return Verdict(verdict="named", where=where, effects=(effect,), gap=gap)
+    level = rms("kPa", **{stage: 0.1})
+    delay = effect(name, confidence=0.9, delay=(value, value, high, "s"))
+    return verdict("named", delay, stage=stage, share={stage: 1.0}, gaps=gap(level, level, level))
 
 
 class QuickReplanning(Replanning):

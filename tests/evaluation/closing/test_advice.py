@@ -39,10 +39,10 @@ def reached(count, stops=0, flights=120):
     return Flights(hits, stopped, np.arange(flights))
 
 
-def closed(ways, declared=True, better=True, wires=None, old=80):
+def closed(ways, declared=True, better=True, wires=None):
     """Return results from policy -> number of 120 flights that reached on the judging robot."""
     judged = PLACES[2 if declared else 1]
-    flown = {(OLD, NOMINAL): reached(100), (OLD, PATCHED): reached(82), (OLD, judged.key): reached(old)}
+    flown = {(OLD, NOMINAL): reached(100), (OLD, PATCHED): reached(82), (OLD, judged.key): reached(80)}
     flown |= {(name, judged.key): n if isinstance(n, Flights) else reached(n) for name, n in ways.items()}
     retrained = Retrained(MODELS / "reach.onnx", 1, 1.0, 0.82, 0.91 if better else 0.82, ())
     found = Diagnosis(cases.named("rail.delay", 0.05, 0.06), Model(), Model(), ())

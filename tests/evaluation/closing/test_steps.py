@@ -56,12 +56,12 @@ def two_targets(monkeypatch):
     monkeypatch.setattr(curve, "write_png", lambda rows, path, *_: path.touch())
 
 
-def close(out, held_out, declared=True, through=lambda closed: None, reported=None, replanned=True, **found):
+def close(out, held_out, declared=True, through=lambda closed: None, reported=None, **found):
     out.mkdir()
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent, reported = {}, [] if reported is None else reported
-    options = steps.Options(replanned, adaptive=MODELS / "reach-robust.onnx", draws=fly.PART)
+    options = steps.Options(adaptive=MODELS / "reach-robust.onnx", draws=fly.PART)
     steps.close(diagnosis, RAIL, REACH, out, held_out, declared, TINY, spent, options, through, reported.append)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["spent"].keys() == spent.keys()
@@ -123,12 +123,13 @@ def test_a_refused_retraining_leaves_the_diagnosis_and_the_ways_before_it(tmp_pa
         raise ValueError("too short: give --seconds 320 or more")
 
     monkeypatch.setattr(steps, "retrain", refuse)
+    monkeypatch.setattr(steps, "Replanning", cases.QuickReplanning)
     out = tmp_path / "out"
     with pytest.raises(ValueError, match=r"--seconds 320 or more\. .*report.html .* start again with another --out"):
-        close(out, Place(HELD_OUT, "late", LATE), replanned=False)
+        close(out, Place(HELD_OUT, "late", LATE))
     assert Verdict.model_validate_json((out / "verdict.json").read_text()).effects == NAMED.effects
     assert "pressure.dead_time" in (out / "report.html").read_text(encoding="utf-8")
-    assert list(json.loads((out / "summary.json").read_text())["ways"]) == ["old", "adaptive"]
+    assert list(json.loads((out / "summary.json").read_text())["ways"]) == ["old", "mppi", "adaptive"]
 
 
 def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_precede_the_motion(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from softarm.evaluation.closing import wires
 from softarm.evaluation.closing.outcomes import NEW, OLD, REST, SWINGING
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies.base import MODELS
-from softarm.schemas.config import Config, Goals, Limits, RailLimits, Workspace
+from softarm.schemas.config import Config, Drivers, Goals, Limits, Mocap, RailLimits, Ros, Workspace
 from tests.evaluation.closing.cases import findings, seen
 
 BOTH = {OLD: MODELS / "reach.onnx", NEW: MODELS / "reach-robust.onnx"}
@@ -34,6 +34,16 @@ def test_a_workspace_without_a_test_target_is_refused(tmp_path):
     nowhere = Config(goals=Goals(workspace=Workspace(y_min_m=0.5, y_max_m=0.6)))
     with pytest.raises(ValueError, match="contains none of the 54 test targets"):
         wires.fly(nowhere, BOTH, 1, "the robot", tmp_path, None, lambda text, share: None)
+
+
+def test_the_twin_replaces_the_cameras_and_the_ros_router_of_the_configuration(tmp_path):
+    cameras = Mocap(driver="cameras", key="lab/mocap", options={"server": "192.168.1.2"})
+    config = Config(drivers=Drivers(mocap=cameras), ros=Ros(router="tcp/192.168.1.3:7447"))
+    bench = wires.Bench(config, BOTH, tmp_path, wires.Twin("our twin", (), True))
+    used = load(bench.config_file)
+    bench.__exit__()
+    assert used.drivers.mocap == Mocap(endpoint=used.drivers.mocap.endpoint)
+    assert used.ros == Ros()
 
 
 @pytest.mark.prove
