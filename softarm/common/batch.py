@@ -7,7 +7,7 @@ function). Results have the order of the jobs, wherever and in which order they 
 import json
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -64,8 +64,8 @@ class Failure(NamedTuple):
 class Batch(Generic[R]):
     """Results and failures by key, in the order of the jobs."""
 
-    results: dict[str, R] = field(default_factory=dict)
-    failures: dict[str, Failure] = field(default_factory=dict)
+    results: dict[str, R]
+    failures: dict[str, Failure]
 
     def complete(self, remedy: str = "") -> dict[str, R]:
         """Return the results of all jobs. Raises JobsFailed with each failed key, its error and the remedy."""

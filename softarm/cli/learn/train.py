@@ -71,6 +71,8 @@ def train(
     if sweep is not None:
         _train_sweep(sweep, out or Path("runs") / sweep.stem, workers)
         return
+    if wrong := [name for name in typed() if name in ("--workers", "--ray")]:
+        raise click.UsageError(f"{wrong[0]} is for many runs: add --sweep FILE")
     task = task or (None if dataset is None else "reach")
     if task is None:
         raise click.UsageError("no task given: name one, e.g. `softarm train reach`, or use --sweep FILE")

@@ -5,9 +5,9 @@ import time
 import click
 
 from softarm.cli.shared.client import Remote, remote
+from softarm.cli.shared.console import waiting
 from softarm.cli.shared.errors import fail, leaves
 
-_PATIENCE_S = 1.0
 _POLL_S = 0.05
 # The one refusal that clears by itself, and how long to wait for it.
 _SETTLING = "mocap_settling"
@@ -15,16 +15,10 @@ _SETTLES_S = 3.0
 
 
 def wait_while(daemon: Remote, mode: str, why: str) -> dict[str, object]:
-    """Poll until the daemon leaves a mode, bounded by its own time limits, and return the status then.
-
-    If the wait takes more than a second, `why` is printed.
-    """
-    is_printed, since_s = False, time.monotonic()
-    while (status := daemon.get("/api/status"))["mode"] == mode:
-        if not is_printed and time.monotonic() - since_s > _PATIENCE_S:
-            click.echo(why, err=True)
-            is_printed = True
-        time.sleep(_POLL_S)
+    """Poll until the daemon leaves a mode, bounded by its own time limits, and return the status then."""
+    with waiting(why):
+        while (status := daemon.get("/api/status"))["mode"] == mode:
+            time.sleep(_POLL_S)
     return dict(status)
 
 

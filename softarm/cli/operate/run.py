@@ -95,7 +95,7 @@ def _publisher(config: "Config", address: str) -> "FoxglovePublisher":
     return FoxglovePublisher(config, host.strip("[]") or "127.0.0.1", int(port))
 
 
-def announce(running: "Daemon", to_open: bool = False) -> None:
+def announce(running: "Daemon", to_open: bool) -> None:
     """Print the daemon's address, its state and the next commands, and open its page if asked."""
     from softarm.daemon.stop.terminal import is_offered
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from softarm.common.processes import bar
-from softarm.diagnosis.data.read import TABLES
+from softarm.diagnosis.data.read import TABLES, stage_of_folder
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.notebook import needs
@@ -57,7 +57,7 @@ def diagnose(
     """
     from softarm.diagnosis.from_files import diagnose_files
 
-    paths = [Path(recording) for recording in recordings]
+    paths = [stage_of_folder(Path(recording)) for recording in recordings]
     stage = next((path for path in paths if path.suffix in TABLES), None)
     if data is not None and stage is None:
         raise TrialError(f"data={str(data)!r}: is for the data files of a stage.yaml; name one, or omit data")

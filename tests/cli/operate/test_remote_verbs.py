@@ -95,13 +95,13 @@ def test_disarm_stop_and_acknowledge_print_the_result(softarm, daemon, make_stat
 
 
 def test_a_long_disarm_prints_once_what_it_waits_for(softarm, daemon, make_status, monkeypatch):
-    monkeypatch.setattr("softarm.cli.operate.arming._PATIENCE_S", -1.0)
+    monkeypatch.setattr("softarm.cli.shared.console.PATIENCE_S", 0.0)
     daemon.on("POST", "/api/disarm", make_status(mode=Mode.STOPPING))
-    stopping = [make_status(mode=Mode.STOPPING)] * 2
+    stopping = [make_status(mode=Mode.STOPPING)] * 4
     daemon.on("GET", "/api/status", *stopping, make_status(mode=Mode.DISARMED))
     result = softarm("disarm")
     assert (result.exit_code, result.stdout) == (0, "disarmed\n")
-    assert result.stderr == "holding the cart until the arm is still\n"
+    assert result.stderr == "holding the cart until the arm is still ...\n"
 
 
 @pytest.fixture
@@ -250,7 +250,7 @@ def test_a_policy_is_chosen_by_name(softarm, daemon, make_status):
     assert daemon.requests == [("PUT", "/api/policy", {"name": "pid"})]
 
 
-def test_logs_are_listed_with_size_duration_and_path(softarm, daemon, monkeypatch):
+def test_logs_are_listed_with_size_duration_and_path(softarm, daemon):
     logs = tuple(
         LogEntry(
             name=name,

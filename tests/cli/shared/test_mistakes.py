@@ -208,6 +208,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("service install --root . --user 'ann\nExecStart=/bin/sh'", "is not a valid user name"),
         ("status --url 127.0.0.1:8080", "e.g. http://127.0.0.1:8080"),
         ("status --url http://[::1", "e.g. http://127.0.0.1:8080"),
+        ("train reach --workers 4", "--workers is for many runs: add --sweep FILE"),
         ("twin", "no ports given: use --config FILE"),
         ("logs view", "which log? `softarm logs list` lists them"),
         ("xyzzy", "Try 'softarm --help' for help. Error: No such command 'xyzzy'."),

@@ -9,6 +9,7 @@ from softarm.diagnosis import report
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.simulator.model_file import ModelFileError
+from tests.diagnosis.data import servo
 
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
 
@@ -40,3 +41,11 @@ def test_a_diagnosis_shows_its_answer_and_its_report(tmp_path):
 def test_an_error_names_the_value_and_the_next_step(recordings, options, error, text):
     with pytest.raises(error, match=text):
         softarm.diagnose(*recordings, **options)
+
+
+def test_the_folder_of_a_rig_is_used_as_its_stage_file(tmp_path):
+    (tmp_path / "stage.yaml").write_text(servo.STAGE)
+    with pytest.raises(TrialError, match=r"stage\.yaml holds its own nominal model; omit model"):
+        softarm.diagnose(tmp_path, model="seed")
+    with pytest.raises(TrialError, match=r"recordings/data\.csv"):
+        softarm.diagnose(tmp_path, data=tmp_path / "recordings")

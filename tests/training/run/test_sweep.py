@@ -162,9 +162,9 @@ def test_settings_have_the_names_of_the_policys_file(tmp_path, pool):
     assert session.settings["randomise.ranges.arm.payload.mass"] == [0.0, 0.02]
 
 
-def test_a_run_on_a_cluster_takes_its_files_and_a_graphics_card_along(file, tmp_path, monkeypatch):
+def test_a_run_on_a_cluster_takes_its_files_and_a_graphics_card_along(file, monkeypatch):
     asked = []
-    monkeypatch.setattr(sweep.batch, "run", lambda text, work, *_, **__: asked.append(work) or Batch())
+    monkeypatch.setattr(sweep.batch, "run", lambda text, work, *_, **__: asked.append(work) or Batch({}, {}))
     runs = sweep.plan(sweep.load(file), Path("out"))
     sweep.run_all(runs, Workers(1, "local"))
     (work,), run = asked, runs["mlp, seed 2"]
