@@ -71,7 +71,7 @@ def episodes(path: Path) -> Iterator[Episode | None]:
         status = out.goal
         if status.state == "running" and status.goal is not None and status.goal.kind == "reach":
             seen = [*out.observed.values] if out.observed else [math.nan] * len(Observation._fields)
-            target = [math.nan if x is None else x for x in (status.goal.y_m, status.goal.z_m)]
+            target = [status.goal.y_m, status.goal.z_m]
             rows.append((out.tick, [*seen, *target], [*(out.action or (math.nan, math.nan))]))
     if rows:
         yield None  # the log ends within this goal

@@ -116,12 +116,12 @@ def page(log: LogFile, entries: Iterable[Entry], advance: Callable[[], None] = l
     begin_ns = int(stamps[0])
 
     def seconds(stamp_ns: int) -> float:
-        return round((stamp_ns - begin_ns) * 1e-9, 4)
+        return (stamp_ns - begin_ns) // 1_000_000 / 1000  # in whole ms, as the stamps of the ticks
 
     listed = list(entries)
     data = {
         "begin_ms": (begin_ns + offset_ns) // 1_000_000,
-        "stamps": plot.packed_integers((stamps - begin_ns) // 100_000),  # in 0.1 ms
+        "stamps": plot.packed_integers((stamps - begin_ns) // 1_000_000),  # in ms
         "series": {name: plot.packed_levels(values) for name, values in samples.columns.items()},
         "runs": {name: [[seconds(at), *what] for at, *what in each.entries] for name, each in runs.items()},
         "events": [[seconds(one.t_ns), one.kind, one.text] for one in listed[:EVENTS_MAX]],
@@ -159,15 +159,13 @@ def _goal(moment: Moment, config: Config) -> tuple[Any, ...]:
 
 
 def _robot(config: Config) -> dict[str, Any]:
-    rail, pressure = config.limits.rail, config.limits.pressure
+    rail = config.limits.rail
     return {
         "soft_m": [rail.position_min_m, rail.position_max_m],
         "hard_m": [-RAIL_TRAVEL_M, RAIL_TRAVEL_M],
         "hinge_z_m": Arm().base_height_m,
         "arm_m": sum(Arm().link_length_m),
         "radius_m": config.goals.success_radius_m,
-        "pressure_kpa": [pressure.min_kpa, pressure.max_kpa],
-        "period_s": 1 / config.control.rate_hz,
     }
 
 

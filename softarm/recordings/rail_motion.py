@@ -9,7 +9,7 @@ from mcap.records import Message, Metadata
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from softarm.recordings import live, mcap_file
+from softarm.recordings import flight, live, mcap_file
 from softarm.schemas import log
 from softarm.schemas.config import Config
 from softarm.schemas.messages import Command
@@ -62,11 +62,7 @@ def read(path: Path) -> RailMotion:
                 if math.isfinite(reading.position_m) and math.isfinite(reading.velocity_m_s):
                     seen[reading.t_receive_ns] = reading.position_m, reading.velocity_m_s
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        where = ".".join(map(str, problem["loc"]))
-        raise mcap_file.LogError(
-            f"{path}: {where}: {problem['msg']}; was it edited, or recorded by another version? Leave it out"
-        ) from None
+        raise flight.unreadable(path, topic or log.CONFIGURATION, error) from None
     sent_ns = np.array([tick.t_ns for tick in ticks], dtype=np.int64)
     stamps_ns = np.array(sorted(seen), dtype=np.int64)
     read_back = np.array([seen[stamp] for stamp in stamps_ns.tolist()], dtype=np.float64).reshape(-1, 2)

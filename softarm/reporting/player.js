@@ -9,7 +9,7 @@
 
   // ---- data
 
-  const t = Array.from(new Uint32Array(unpackedBytes(data.stamps)), (v) => v / 1e4);
+  const t = Array.from(new Uint32Array(unpackedBytes(data.stamps)), (v) => v / 1e3);
   const of = Object.fromEntries(Object.entries(data.series).map(([name, packed]) => [name, unpackedLevels(packed)]));
   const BODIES = ["cart", "link1", "link2", "link3", "link4", "link5"];
   const ys = BODIES.map((name) => of[`${name}_y`]), zs = BODIES.map((name) => of[`${name}_z`]);

@@ -9,7 +9,7 @@ from html import unescape
 import numpy as np
 import pytest
 
-from softarm.recordings import player
+from softarm.recordings import flight, player
 from softarm.schemas.events import Entry
 
 
@@ -28,13 +28,13 @@ def values(packed):
 
 
 def stamps(data):
-    return np.frombuffer(base64.b64decode(data["stamps"]), "<u4") / 1e4
+    return np.frombuffer(base64.b64decode(data["stamps"]), "<u4") / 1e3
 
 
 def test_the_players_curves_are_the_ticks(log, text):
     data, recorded = said(text), list(log)
     begin_ns = recorded[0][0].t_ns
-    np.testing.assert_allclose(stamps(data), [(i.t_ns - begin_ns) * 1e-9 for i, _, _ in recorded], atol=1.01e-4)
+    np.testing.assert_allclose(stamps(data), [(i.t_ns - begin_ns) * 1e-9 for i, _, _ in recorded], atol=1.01e-3)
     poses = [inputs.mocap[-1].bodies for inputs, _, _ in recorded]  # the simulated cameras miss no tick
     for number, name in enumerate(("cart", "link1", "link2", "link3", "link4", "link5")):
         np.testing.assert_allclose(values(data["series"][f"{name}_y"]), [p[number].y_m for p in poses], atol=1e-5)
@@ -44,6 +44,22 @@ def test_the_players_curves_are_the_ticks(log, text):
     np.testing.assert_allclose(values(data["series"]["cart_sent"]), [s.cart_velocity_m_s for s in sent], atol=2e-5)
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
     assert data["begin_ms"] == (begin_ns + offset_ns) // 10**6
+
+
+def test_a_log_of_six_days_keeps_its_times(log, monkeypatch):
+    *before, last = filter(None, flight.moments(log.path))
+    six_days_ns = 6 * 86_400 * 10**9
+    outputs = last.tick.outputs.model_copy(update={"t_ns": last.tick.outputs.t_ns + six_days_ns})
+    later = last._replace(tick=last.tick.model_copy(update={"outputs": outputs}))
+    monkeypatch.setattr(flight, "moments", lambda path: iter([*before, later]))
+    length_s = (outputs.t_ns - before[0].tick.outputs.t_ns) * 1e-9
+    assert stamps(said(player.page(log, [])))[-1] == pytest.approx(length_s, abs=1.01e-3)
+
+
+def test_a_state_begins_at_the_time_of_its_tick(text):
+    data = said(text)
+    begins = {time for each in data["runs"].values() for time, *_ in each}
+    assert begins <= set(stamps(data))
 
 
 def test_states_and_events_have_their_times(log, text):

@@ -107,10 +107,11 @@ def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(
 )
 def test_a_message_of_another_kind_is_reported_with_its_place(tmp_path, data, what):
     odd = write(tmp_path / "odd.mcap", [(1, data)])
-    with pytest.raises(
-        LogError, match=rf"odd\.mcap: a message on /rail: {what}.*; was it edited, or recorded by another"
-    ):
-        list(flight.records(odd))
+    for read in (lambda path: list(flight.records(path)), rail_motion.read):
+        with pytest.raises(
+            LogError, match=rf"odd\.mcap: a message on /rail: {what}.*; was it edited, or recorded by another"
+        ):
+            read(odd)
 
 
 def test_a_log_contains_commands_and_their_effects(flight_file):

@@ -7,8 +7,11 @@ import jsonschema
 import pytest
 
 from softarm.diagnosis.data import mcap
+from softarm.recordings import live
 from softarm.recordings.foxglove import converter
+from softarm.schemas.config import Config
 from softarm.schemas.log import Metadata
+from softarm.schemas.messages import MocapFrame
 
 OWN = {"/event", "/mocap", "/pressure", "/rail", "/request", "/tick"}
 TYPES = {
@@ -108,6 +111,20 @@ def test_the_export_contains_the_whole_log(converted, log):
             assert trial.channels[name][column].tobytes() == values.tobytes()
     written: Metadata = log.metadata
     assert converted.metadata == {name: dict(values) for name, values in written.items()}
+
+
+def test_a_frame_stamped_by_another_clock_does_not_stop_the_trail(log):
+    """The stamps of two frames are an hour ahead."""
+    (one, *_) = (frame for inputs, _ in log.ticks() for frame in inputs.mocap)
+    hour_ns, step_ns = 3_600_000_000_000, converter.TRAIL_STEP_NS
+    trail = converter.Converter(Config(), 0)
+    added = []
+    for number, ahead_ns in enumerate((0, 0, hour_ns, hour_ns + step_ns, 0, 0)):
+        t_ns = one.t_receive_ns + number * step_ns
+        frame = MocapFrame(number, t_ns + ahead_ns, t_ns, one.bodies)
+        topics = [each.topic for each in trail.take("/mocap", t_ns, t_ns, live.MOCAP.encode(frame))]
+        added.append(converter.TRAIL in topics)
+    assert added == [True, True, False, False, True, True]
 
 
 def test_the_journal_lists_events_even_without_log_entries(converted, log):
