@@ -49,7 +49,7 @@ def rows(comparison: Comparison, found: Sequence[Entry], command: str) -> list[R
         if name == CEILING:
             continue
         row = Row(
-            name=Path(name).stem,
+            name=Path(name).name.removesuffix(".onnx"),
             sha256=tuple(sorted(each.sha256 for each in found if each.name == name and each.sha256 is not None)),
             seeds=tuple(comparison["seeds"][name]),
             results={column: figure["counted"] for column, figure in figures.items()},

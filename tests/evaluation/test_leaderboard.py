@@ -5,20 +5,19 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.common.shares import share
 from softarm.evaluation import leaderboard, table
 from softarm.evaluation.leaderboard import Board, Row
 from softarm.evaluation.table import Score
 from softarm.policies.onnx_policy import MODELS
+from tests.cli.invoke import invoke
 
 STORED = Path(__file__).parents[2] / "benchmarks" / "leaderboard.json"
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
+    return invoke("evaluate", *arguments)
 
 
 @pytest.fixture
@@ -65,6 +64,12 @@ def test_a_file_with_the_name_of_a_plug_in_is_another_policy():
     board, _, _ = leaderboard.merged(Board(), [row("pid", 10)])
     both, sentences, _ = leaderboard.merged(board, [row("pid", 150, ("ab",))])
     assert (len(both.entries), sentences) == (2, ["pid: added"])
+
+
+def test_names_with_a_dot_are_kept_whole():
+    names = ("lean-0.1", "lean-0.2", "/home/me/mine.onnx")
+    flown = {"policies": {name: {} for name in names}, "seeds": dict.fromkeys(names, ())}
+    assert [each.name for each in leaderboard.rows(flown, [], "c")] == ["lean-0.1", "lean-0.2", "mine"]
 
 
 @pytest.mark.parametrize(
