@@ -8,13 +8,13 @@ from typing import Any
 
 from softarm.common.files import sha256_of
 from softarm.diagnosis.data import read
-from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
 from validation.blind import pages, run, seal
 from validation.blind.imperfections import Cause
 from validation.blind.score import Scored, score
+from validation.blind.shrink import measure_shrink
 
 # case, done, of
 OnCase = Callable[[str, int, int], None]

@@ -14,11 +14,11 @@ import pytest
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.robot.chain import FLOOR_M
 from softarm.diagnosis.robot.experiments import NOTHING
-from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.verdict import Verdict
 from softarm.simulator.effects import validate
 from softarm.simulator.simulator import Simulator
+from validation.blind.shrink import measure_shrink
 
 pytestmark = pytest.mark.slow
 SEED = seed_effects()

@@ -4,9 +4,9 @@ import pytest
 
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.robot.drive import SERVO, with_identified_drive, with_servo
-from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.schemas.model import Model
+from validation.blind.shrink import measure_shrink
 
 pytestmark = pytest.mark.slow
 MODEL, KINDS = Model(), ("both", "rail-steps")
