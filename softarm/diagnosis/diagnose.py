@@ -1,5 +1,6 @@
 """Diagnosis of trials of the robot or of a rig."""
 
+import gc
 from collections.abc import Sequence
 
 from threadpoolctl import threadpool_limits
@@ -43,11 +44,15 @@ def diagnose(
     import sklearn  # noqa: F401  # the limit only holds for loaded libraries
 
     # With small matrices, BLAS and the boosted trees take twenty times the work on several threads.
-    with threadpool_limits(1):
-        if tables:
-            # The laws of rigs are compiled on import.
-            from softarm.diagnosis.rigs.diagnose import diagnose_table
-            from softarm.diagnosis.rigs.owner_units import in_owners_units
+    try:
+        with threadpool_limits(1):
+            if tables:
+                # The laws of rigs are compiled on import.
+                from softarm.diagnosis.rigs.diagnose import diagnose_table
+                from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-            return in_owners_units(diagnose_table(ordered, progress, processes, budget_s), ordered)
-        return diagnose_robot(ordered, model or Model(), progress)
+                return in_owners_units(diagnose_table(ordered, progress, processes, budget_s), ordered)
+            return diagnose_robot(ordered, model or Model(), progress)
+    finally:
+        # A search refers to itself, and the collector does not count its arrays: a hundred robots kept 5 GB.
+        gc.collect()

@@ -3,7 +3,6 @@
 The methods are the diagnosis and simpler baselines, all with the same inputs.
 """
 
-import gc
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -90,8 +89,6 @@ def answer_case(folder: Path, method: str) -> dict[str, Any]:
         }
     except Exception as error:  # a failure is scored, and the other cases continue
         failure = f"{type(error).__name__}: {error}"
-    # A search refers to itself, and the collector does not count its arrays: a hundred cases kept 5 GB.
-    gc.collect()
     return {
         "case": folder.name,
         "data": sha256_of(folder),

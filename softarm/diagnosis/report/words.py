@@ -245,7 +245,7 @@ def noise_level(floor: Quantity) -> str:
 
 def shrinks_by(diagnosis: Diagnosis, place: str) -> str:
     """Return the shrink of a stage's gap, such as `74 % less, 95 % interval 70 to 78`, or an empty string."""
-    gap, of = diagnosis.verdict.gap, _shrink(diagnosis, place)
+    gap, of = diagnosis.verdict.gap, diagnosis.total_shrink.get(place)
     share = reduction(gap.before.get(place), gap.after.get(place))
     if share is None or not diagnosis.verdict.effects:
         return ""
@@ -256,13 +256,3 @@ def shrinks_by(diagnosis: Diagnosis, place: str) -> str:
     low, high = (of.low, of.high) if share >= 0 else (-of.high, -of.low)
     digits = 0 if round(100 * low) < round(100 * high) else 1
     return f"{text}, 95 % interval {100 * low:.{digits}f} to {100 * high:.{digits}f}"
-
-
-def _shrink(diagnosis: Diagnosis, place: str) -> Interval | None:
-    """Return the share of a stage's gap that all named effects remove on held-out data."""
-    if place in diagnosis.total_shrink:
-        return diagnosis.total_shrink[place]
-    effects = diagnosis.verdict.effects
-    if len(effects) != 1:
-        return None
-    return effects[0].shrink.chain if place == "chain" else effects[0].shrink.stage

@@ -28,6 +28,7 @@ FEW = 5  # smallest number of events for a share
 HALF_NORMAL_STD = 0.6028  # standard deviation over sigma
 SKEWED = 0.5
 MEDIAN_WIDER = 1.2533  # the error of a median over that of a mean
+SLOPE_FRAMES = 5  # over which a velocity is averaged
 VELOCITY_RATIO_MAX = 0.75  # largest error of one way to compute velocities, relative to the other
 VELOCITY_FLOOR_M_S = 0.03
 
@@ -200,6 +201,8 @@ def _velocity_errors(trial: Trial) -> tuple[float, float] | None:
     for part in ("y", "z"):
         place, stamps = mocap[f"link{last}_{part}"], mocap.t_s
         finite = np.isfinite(place)
+        if np.count_nonzero(finite) < SLOPE_FRAMES:
+            return None
         slope = _slope(Series(stamps[finite], {"x": place[finite]}))
         now, before = newest[1:], newest[:-1]
         good = ok[1:] & ok[:-1] & (now > before) & np.isfinite(place[now]) & np.isfinite(place[before])
@@ -214,8 +217,8 @@ def _velocity_errors(trial: Trial) -> tuple[float, float] | None:
 
 
 def _slope(series: Series) -> CubicSpline:
-    """Return the derivative of a motion, averaged over five frames."""
-    kernel = np.ones(5) / 5
+    """Return the derivative of a motion, averaged over some frames."""
+    kernel = np.ones(SLOPE_FRAMES) / SLOPE_FRAMES
     smooth = np.convolve(series["x"], kernel, mode="same")
     smooth[:2], smooth[-2:] = series["x"][:2], series["x"][-2:]
     return CubicSpline(series.t_s, smooth).derivative()

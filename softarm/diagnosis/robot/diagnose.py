@@ -31,7 +31,7 @@ from softarm.diagnosis.robot.drive import SERVO
 from softarm.diagnosis.robot.shrink import effect_shrink, held_out_tip_gap, stage_gap
 from softarm.diagnosis.robot.trial_grid import RATE_HZ
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Estimate, NamedEffect, NextExperiment, Shrink, Verdict, Where
+from softarm.schemas.verdict import Estimate, Interval, NamedEffect, NextExperiment, Shrink, Verdict, Where
 from softarm.simulator.effects import REGISTRY, STAGES, find
 
 ALWAYS_SHOWN = ("clock", "observation")  # counted stages that are listed without a named effect as well
@@ -158,9 +158,12 @@ def _with_tolerance(parameter: FittedParameter, u: float, low: float, high: floa
 def _count_effect(count: Count) -> NamedEffect:
     estimate = Estimate(value=count.value, low=count.low, high=count.high, unit=count.unit)
     parameters = {count.parameter: estimate} if count.parameter else {}
+    return NamedEffect(name=count.name, parameters=parameters, shrink=Shrink(stage=_count_shrink(count)))
+
+
+def _count_shrink(count: Count) -> Interval:
     spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
-    stage = share(count.shrink, *widened(count.shrink, count.shrink - spread, count.shrink + spread))
-    return NamedEffect(name=count.name, parameters=parameters, shrink=Shrink(stage=stage))
+    return share(count.shrink, *widened(count.shrink, count.shrink - spread, count.shrink + spread))
 
 
 def _stages(
@@ -209,7 +212,10 @@ def _counted_stages(counted: Sequence[Count], known: set[str]) -> list[StageAnsw
         if count.stage not in known and count.stage not in answers and (count.named or count.stage in ALWAYS_SHOWN):
             before, floor = round(count.before, 9), round(count.floor, 9)
             after = round(count.after if count.named else count.before, 9)
-            answers[count.stage] = StageAnswer(count.stage, count.unit, before, after, floor, None, after)
+            total = _count_shrink(count) if count.named else None
+            answers[count.stage] = StageAnswer(
+                count.stage, count.unit, before, after, floor, None, after, total_shrink=total
+            )
     return list(answers.values())
 
 

@@ -68,7 +68,7 @@ def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
     """Return trials on one grid, with NaN for a missing channel.
 
     Raises:
-        TrialError: a trial has no commands, no measurements, or is too short.
+        TrialError: a trial has no commands, no measurements, or is too short, or a link was never tracked.
     """
     parts = [_part(trial, model) for trial in trials]
     steps = np.array([len(part["t_s"]) for part in parts])
@@ -77,6 +77,12 @@ def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
         np.concatenate([np.arange(round(SKIPPED_S * RATE_HZ), n) for n in steps]),
         np.repeat(np.arange(len(parts)), steps - round(SKIPPED_S * RATE_HZ)),
     )
+    tracked = np.isfinite(stacked["links_m"]).any(axis=(0, 1))
+    if tracked.any() and not tracked.all():
+        lost = np.flatnonzero(~tracked)[0] % model.arm.links + 1
+        raise TrialError(
+            f"{trials[0].source}: no trial has a pose of link{lost}; track each link's end, or leave mocap out"
+        )
     axis_true = stacked.pop("axis_true")[0] > 0
     noise = np.array([each[0] for trial in trials if (each := mocap_noise(trial)) is not None])
     beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0

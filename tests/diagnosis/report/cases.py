@@ -79,6 +79,7 @@ def diagnosis(**changes):
         "unexplained": (Unexplained("arm", 0.4, (("sign of the rate", 0.3), (NASTY, 0.1))),),
         "seconds": 12.0,
         "held_out": "kind",
+        "total_shrink": {"pressure": DEAD_TIME.shrink.stage, "chain": DEAD_TIME.shrink.chain},
     }
     return Diagnosis(**values | changes)
 

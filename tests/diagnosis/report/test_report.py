@@ -146,13 +146,18 @@ def test_a_set_that_stages_share_names_them_all():
 def test_every_shrink_has_its_interval_or_states_that_it_is_unknown():
     shrink = "pressure gap, 74 % less, 95 % interval"
     assert f"{shrink} 70 to 78" in Page(report.render(CASES["named"])).words
-    several = CASES["incomplete"]
+    several = replace(CASES["incomplete"], total_shrink={})
     assert "pressure gap, 74 % less, interval not known" in Page(report.render(several)).words
     joint = replace(several, total_shrink={"pressure": interval(0.74, 0.61, 0.8), "chain": interval(0.5, 0.45, 0.55)})
     page = Page(report.render(joint)).words
     assert f"{shrink} 61 to 80" in page
     assert "tip, whole chain, 50 % less, 95 % interval 45 to 55" in page
     assert "interval not known" not in page
+
+
+def test_a_gap_without_an_own_interval_does_not_get_that_of_an_effect_elsewhere():
+    case = replace(CASES["named"], total_shrink={})
+    assert "tip, whole chain, 50 % less, interval not known" in Page(report.render(case)).words
 
 
 def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_rest():

@@ -192,6 +192,15 @@ def test_finite_differences_and_true_velocities_are_separated(robot, model):
         assert found.shrink > 0.5
 
 
+def test_a_tip_that_was_never_tracked_says_nothing_of_velocities():
+    seen, other = (_seen(f"t{i}", True, i) for i in range(2))
+    mocap = other.channels["mocap"]
+    lost = {name: mocap[name] + (np.nan if name.startswith("link2") else 0) for name in mocap.columns}
+    trials = [seen, replace(other, channels=other.channels | {"mocap": Series(mocap.t_s, lost)})]
+    name = "observation.finite_difference"
+    assert _count(trials, name, TRUE) == _count([seen], name, TRUE)
+
+
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_95_times_in_100():
     k, truth, runs = np.arange(400), {"clock.missed_ticks": 0.05, "clock.jitter": 0.004}, 200

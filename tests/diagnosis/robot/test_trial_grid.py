@@ -45,6 +45,14 @@ def _without(trial, *channels):
     return replace(trial, channels={k: v for k, v in trial.channels.items() if k not in channels})
 
 
+def test_a_link_that_no_trial_tracked_is_refused():
+    mocap = _trial().channels["mocap"]
+    trials = 2 * [_trial(mocap=Series(mocap.t_s, {**mocap.columns, "link5_y": np.full(len(mocap), np.nan)}))]
+    with pytest.raises(TrialError, match=r"campaign/one: no trial has a pose of link5; track each link's end"):
+        on_grid(trials, MODEL)
+    assert on_grid([*trials, _trial()], MODEL).links == 5
+
+
 def test_commands_keep_their_stamps():
     late = 0.009 * np.random.default_rng(0).random(170)
     stamps = 2.0 + np.arange(170) / 30 + late
