@@ -31,11 +31,16 @@ def is_file(path: Path | str) -> bool:
     return os.path.isfile(path)
 
 
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, or of all files in a folder; the name of the path itself does not count."""
+def sha256_of(path: Path, without: Path | None = None) -> str:
+    """Return the SHA-256 of a file, or of all files in a folder; the name of the path itself does not count.
+
+    without: folder whose files do not count either.
+    """
     if not path.is_dir():
         return hashlib.sha256(path.read_bytes()).hexdigest()
     inside = sorted(each for each in path.rglob("*") if each.is_file())
+    if without is not None:
+        inside = [each for each in inside if not each.resolve().is_relative_to(without.resolve())]
     lines = (f"{each.relative_to(path)} {sha256_of(each)}\n" for each in inside)
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 

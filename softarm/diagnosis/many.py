@@ -69,7 +69,7 @@ def diagnose_all(inputs: Sequence[Path], options: Options, workers: Workers | No
 
     @cache
     def data(name: str) -> list[str]:
-        return [files.sha256_of(path) for path in input_files(todo[name][1]) if path.exists()]
+        return [files.sha256_of(path, out) for path in input_files(todo[name][1]) if path.exists()]
 
     def depends_on(name: str) -> dict[str, Any]:
         settings = [model, options.budget_s, options.calibration]

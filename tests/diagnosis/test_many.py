@@ -96,6 +96,14 @@ def test_a_restart_diagnoses_the_missing_and_the_changed(asked, monkeypatch):
     assert kept["tool"] == "common diagnosis recordings reporting schemas simulator"
 
 
+def test_results_inside_an_input_are_no_part_of_its_data(asked):
+    options = Options(ROBOTS[0] / "reports")
+    many.diagnose_all(ROBOTS, options, HERE)
+    asked.trials.clear()
+    many.diagnose_all(ROBOTS, options, HERE)
+    assert asked.trials == []
+
+
 def test_files_outside_the_folder_of_a_rig_belong_to_its_data(tmp_path):
     stage = tmp_path / "rig" / "stage.yaml"
     stage.parent.mkdir()
