@@ -51,7 +51,8 @@ def of(signal: Signal, times: Sequence[Signal], units: Mapping[str, str], rate_h
         TrialError: the time does not rise.
     """
     if not times:
-        step = 1 / (rate_hz or 1.0)
+        assert rate_hz is not None, "rows without stamps have a rate"
+        step = 1 / rate_hz
         stamps = tuple(np.asarray(np.arange(len(each)) * step) for each in signal.values)
         return Clock(table_files.ROWS, "s", float(f"{step:.9g}"), stamps, f"{rate_hz:g} rows a second, as given", None)
     time = _nearest(times, signal)
@@ -91,7 +92,8 @@ def _nearest(times: Sequence[Signal], signal: Signal) -> Signal:
 
 def lead(one: Signal, other: Signal, clocks: Mapping[int, Clock]) -> tuple[float, float]:
     """Return the time by which one signal leads another, s, and their correlation at that lag, -1 to 1."""
-    longest = int(np.argmax([len(each) for each in one.values]))
+    known = (np.isfinite(x).sum() * np.isfinite(y).any() for x, y in zip(one.values, other.values, strict=True))
+    longest = int(np.argmax([*known]))
     t, s = clocks[one.group].times_s[longest], clocks[other.group].times_s[longest]
     low, high = max(np.nanmin(t), np.nanmin(s)), min(np.nanmax(t), np.nanmax(s))
     at = np.linspace(low, high, POINTS)

@@ -137,11 +137,10 @@ class Draft:
         groups = sorted({s.group for s in self.survey.signals})
         if self.answers.rate_hz is not None:
             return {k: [] for k in groups}
-        if self.answers.time:
-            named = [s for s in self.survey.signals if self.answers.time in s.names[:2]]
-            named = named or [self._named(self.answers.time, "--time")]
-            return {k: [s for s in named if s.group == k] or clocks.candidates(self.survey, k) for k in groups}
-        found = {k: clocks.candidates(self.survey, k) for k in groups}
+        named = [s for s in self.survey.signals if self.answers.time and self.answers.time in s.names[:2]]
+        if self.answers.time and not named:
+            named = [self._named(self.answers.time, "--time")]
+        found = {k: [s for s in named if s.group == k] or clocks.candidates(self.survey, k) for k in groups}
         if not all(found.values()):
             falling = [s.label for s in self.survey.signals if s.header.role == "time" and not found[s.group]]
             why = f"{', '.join(falling)} does not rise" if falling else "no column holds the time"

@@ -1,7 +1,9 @@
 """Proposals of a stage file: inference from recordings, and questions."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.describe.proposal import Answers, Unknown, propose
@@ -69,6 +71,23 @@ def test_a_table_without_time_needs_its_rate(table):
     assert questions(path) == [("--rate", "")]
     clock = proposal(path, rate_hz=50).clocks["command"]
     assert (clock.source, clock.scale, clock.unit) == ("rows", 0.02, "s")
+
+
+def test_a_second_table_without_time_needs_a_rate_although_the_first_has_one(table):
+    files = [table("cmd.csv", "t,cmd_deg", T, U), table("meas.csv", "pos_deg,temp_C", Y, 0 * T + 21)]
+    with pytest.raises(Unknown) as caught:
+        propose(survey(files), Answers(kind="tracking", time="t"))
+    assert [question.option for question in caught.value.questions] == ["--rate"]
+
+
+def test_a_longer_recording_without_readings_does_not_show_which_column_leads(tmp_path):
+    files = []
+    for name, rows, seen in (("a1", 300, np.full(300, np.nan)), ("a2", 200, Y[:200])):
+        files.append(tmp_path / f"{name}.parquet")
+        parquet.write_table(pa.table({"t": T[:rows], "one": U[:rows], "two": seen}), files[-1])
+    units = {"one": "deg", "two": "deg"}
+    found = columns(propose(survey(files), Answers(kind="tracking", units=units)))
+    assert found["command"]["command"][0] == "one"
 
 
 def test_a_clock_that_falls_is_named(table):
