@@ -3,13 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.trials import ROBOT_CHANNELS, Series, Trial, TrialError
-from softarm.recordings import flight, live, mcap_file
-from softarm.schemas import log
-from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS
+from softarm.recordings import flight, mcap_file
+from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, MocapFrame, PressureReading, RailReading
 
 # A cart that moved less was held.
 HELD_M = 5e-4
@@ -25,12 +23,10 @@ def read(path: Path) -> Trial:
     """
     readings = _Readings()
     try:
-        for topic, data in mcap_file.messages(path):
-            readings.add(topic, data)
+        for record in flight.records(path):
+            readings.add(record)
     except mcap_file.LogError as error:
         raise TrialError(str(error)) from None
-    except ValidationError as error:
-        raise TrialError(str(flight.unreadable(path, topic, error))) from None
     return _trial(path, readings.rows, readings.policies)
 
 
@@ -43,27 +39,29 @@ class _Readings:
         self._origin_ns: int | None = None
         self._enabled = False
 
-    def add(self, topic: str, data: bytes) -> None:
+    def add(self, record: flight.Record | None) -> None:
         """Append a message's values to their channel."""
-        if topic == log.MOCAP:
-            frame = live.MOCAP.decode(data)
-            if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
-                return  # stamped by another clock: the control loop rejected this frame
-            poses = [
-                value
-                for body in frame.bodies
-                for value in ((body.y_m, body.z_m, body.angle_rad) if body.tracked else (np.nan,) * 3)
-            ]
-            captured = self._seconds(frame.t_capture_ns)
-            self.rows["mocap"].append((captured, self._seconds(frame.t_receive_ns), *poses))
-        elif topic == log.PRESSURE:
-            gauge = live.PRESSURE.decode(data)
-            self.rows["pressure"].append((self._seconds(gauge.t_receive_ns), gauge.pressure_kpa))
-        elif topic == log.RAIL:
-            rail = live.RAIL.decode(data)
-            self.rows["rail"].append((self._seconds(rail.t_receive_ns), rail.position_m, rail.velocity_m_s))
-        elif topic == log.TICK:
-            self._add_tick(flight.Tick.model_validate_json(data).outputs)
+        match record:
+            case MocapFrame():
+                self._add_frame(record)
+            case PressureReading():
+                self.rows["pressure"].append((self._seconds(record.t_receive_ns), record.pressure_kpa))
+            case RailReading():
+                stamp = self._seconds(record.t_receive_ns)
+                self.rows["rail"].append((stamp, record.position_m, record.velocity_m_s))
+            case flight.Tick():
+                self._add_tick(record.outputs)
+
+    def _add_frame(self, frame: MocapFrame) -> None:
+        if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
+            return  # stamped by another clock: the control loop rejected this frame
+        poses = [
+            value
+            for body in frame.bodies
+            for value in ((body.y_m, body.z_m, body.angle_rad) if body.tracked else (np.nan,) * 3)
+        ]
+        captured = self._seconds(frame.t_capture_ns)
+        self.rows["mocap"].append((captured, self._seconds(frame.t_receive_ns), *poses))
 
     def _add_tick(self, tick: flight.Outputs) -> None:
         now, sent = self._seconds(tick.t_ns), tick.sent

@@ -161,10 +161,12 @@ def joined(tracked: Series, encoders: Series, where: Path) -> Series:
 
 def _beside(other: Series, series: Series, where: Path) -> Series:
     """Return the rows of a series that lie in no gap of another one; raise TrialError if there are none."""
-    usual = float(np.median(np.diff(other.t_s)))
-    after = np.clip(np.searchsorted(other.t_s, series.t_s), 1, len(other) - 1)
-    keep: NDArray[np.bool_] = np.diff(other.t_s)[after - 1] <= max(GAP_FACTOR * usual, GAP_MIN_S)
-    keep &= (series.t_s >= other.t_s[0]) & (series.t_s <= other.t_s[-1])
+    keep: NDArray[np.bool_] = np.zeros(len(series), bool)
+    if len(other) > 1:
+        steps = np.diff(other.t_s)
+        after = np.clip(np.searchsorted(other.t_s, series.t_s), 1, len(steps))
+        keep = steps[after - 1] <= max(GAP_FACTOR * float(np.median(steps)), GAP_MIN_S)
+        keep &= (series.t_s >= other.t_s[0]) & (series.t_s <= other.t_s[-1])
     if not keep.any():
         raise TrialError(
             f"{where}: motion capture and {', '.join(other.columns)} have no time in common; give them stamps of one "

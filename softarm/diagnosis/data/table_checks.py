@@ -190,20 +190,12 @@ def _wrapped(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
             )
 
 
-def _static(stage: TableStage, command: Array) -> Array:
-    """Value that the nominal model reaches under constant commands."""
-    if "map" in stage.model:
-        pairs = np.asarray(stage.model["map"], dtype=float)
-        return np.asarray(np.interp(command, pairs[:, 0], pairs[:, 1]))
-    return stage.number("gain", 1.0) * command + stage.number("offset", 0.0)
-
-
 def _slips(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool, str]]:
     """Ranges of command and measured value that do not match: (whether a unit is certainly wrong, sentence)."""
     if stage.kind != "tracking":
         return
     (name,) = compared_columns(trial)
-    seen, expected = trial.channels["measured"][name], _static(stage, trial.channels["command"]["command"])
+    seen, expected = trial.channels["measured"][name], stage.reached(trial.channels["command"]["command"])
     spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, expected)]
     if min(spread) <= 0:
         return
@@ -259,9 +251,9 @@ def _likely(*columns: tuple[TableUnit, float, str]) -> str:
 
 
 def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool, str]]:
-    """Rates that are not the slopes of their positions; the view of a tracking stage checks its own."""
+    """Rates that are not the slopes of their positions; of a tracking stage only the position is used."""
     measured = trial.channels["measured"]
-    if stage.kind == "tracking" or len(measured) < ROWS_LEAST:
+    if len(measured) < ROWS_LEAST:
         return
     pairs = [("position", "velocity"), *((f"angle{i}", f"rate{i}") for i in range(1, 13))]
     for place, rate in pairs:
@@ -278,7 +270,7 @@ def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool
             else _likely((units[place], ratio, place), (units[rate], 1 / ratio, rate))
         )
         yield (
-            bool(likely),
+            bool(likely) and stage.kind != "tracking",
             f"{at('measured', rate)}: {rate} is {ratio:.3g} times the slope of {place} ({at('measured', place)}); "
             + (f"{likely}: " if likely else "")
             + "correct `unit` or `scale` of one",

@@ -81,8 +81,9 @@ def column(table: Table, about: Column, segment: str | None, element: int | None
     """Return a column in its standard unit, [N]; NaN where a cell has one of the marks for a missing value.
 
     segment replaces {segment} in the source; element is the index into cells that contain lists. Raises TrialError if
-    the column does not exist or contains anything but numbers.
+    the column does not exist or contains anything but numbers, or has no lists or rows to take one from.
     """
+    _check_place(table, about, segment)
     marks = _marks(table, about)
     element = element if about.element is None else about.element
     values = _numbers(table, about.source, about.row, marks, segment, element)
@@ -96,6 +97,15 @@ def column(table: Table, about: Column, segment: str | None, element: int | None
         values = values - other
     standard_units, _ = factor(about.unit)
     return np.asarray(values * (about.scale * standard_units) + about.add)
+
+
+def _check_place(table: Table, about: Column, segment: str | None) -> None:
+    """Raise TrialError if a column's `element` or `row` has nothing to take one from."""
+    where = f"{table.path}: column {about.source}"
+    if about.element is not None and not holds_lists(table, about, segment):
+        raise TrialError(f"{where} contains plain numbers, not lists; leave `element` out, or name another column")
+    if about.row is not None and getattr(_find(table, _name(table, about.source, segment)), "ndim", 1) != 2:
+        raise TrialError(f"{where} has no rows to choose from; leave `row` out, or name another column")
 
 
 def readings(table: Table, name: str, *, blank: bool) -> Array:

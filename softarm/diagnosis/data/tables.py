@@ -39,7 +39,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     described = load(path)
     skeletons = [mocap.skeleton_of(stage, base) for stage in described]
     stages = [*map(mocap.with_joints, described, skeletons)]
-    _refuse_shared_names(path, stages)
+    _refuse_names(path, stages)
     _refuse_unknown_effects(path, stages)
     table_of = cache(partial(table_files.load, form=stages[0].form))  # a file that serves many trials is read once
     checked: dict[str, list[tuple[Trial, Columns]]] = {}  # by stage
@@ -79,11 +79,16 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     return tuple(trials)
 
 
-def _refuse_shared_names(path: Path, stages: Sequence[Stage]) -> None:
-    """Raise TrialError if two mechanisms have parts of one name, such as the joints of two equal arms."""
+def _refuse_names(path: Path, stages: Sequence[Stage]) -> None:
+    """Raise TrialError if a part's name holds a dot, or two mechanisms share one, such as a joint of equal arms."""
     owner: dict[str, str] = {}
     for stage in stages:
         for name in stage.about.parts or (stage.name,):
+            if "." in name:
+                raise TrialError(
+                    f"{path}: {name}: its name holds a dot, which separates the parts of an effect's name; rename it, "
+                    "a joint also in its model"
+                )
             if (other := owner.setdefault(name, stage.name)) != stage.name:
                 raise TrialError(
                     f"{path}: mechanisms {other} and {stage.name} both have {name}; allowed is one; rename it in one "
@@ -108,7 +113,7 @@ def _split(found: Iterable[Recording | TrialError], table_of: TableOf) -> Iterat
         try:
             tables = [table_of(path) for path in recording.files.values()]
             for number in np.unique(table_files.readings(tables[0], recording.about.split, blank=False)):
-                yield replace(recording, name=f"{recording.name}-{number:g}", only=float(number))
+                yield replace(recording, name=f"{recording.name}-{number:.15g}", only=float(number))
         except TrialError as error:
             yield error
 

@@ -93,6 +93,15 @@ class TableStage:
         """Return a parameter of the model, its first value if it has several, or the default."""
         return float(np.ravel(np.asarray(self.model.get(key, default), dtype=float))[0])
 
+    def reached(self, command: Array) -> Array:
+        """Return the final value under constant commands: by `map`, extrapolated, or by `gain` and `offset`."""
+        if "map" not in self.model:
+            return np.asarray(command * self.number("gain", 1.0) + self.number("offset", 0.0))
+        at, values = np.asarray(self.model["map"], dtype=float).T
+        slopes = np.diff(values) / np.diff(at)
+        below, above = np.minimum(command - at[0], 0.0), np.maximum(command - at[-1], 0.0)
+        return np.asarray(np.interp(command, at, values) + slopes[0] * below + slopes[-1] * above)
+
     def unit(self, channel: str, column: str) -> str:
         """Return the standard unit of a column, in which its Series is; empty if the table does not give it."""
         own = self.units.get(channel, {}).get(column)

@@ -55,18 +55,35 @@ def test_each_element_is_a_joint_and_each_episode_a_trial(dataset):
         assert np.rad2deg(trial.channels["measured"]["tilt"]) == pytest.approx(ANGLES[:, 1], abs=1e-4)
 
 
-def test_the_episodes_of_one_file_are_split_by_their_column(dataset):
+@pytest.mark.parametrize("first", [0, 20241101])
+def test_the_episodes_of_one_file_are_split_by_their_column(dataset, first):
     """Version 3 of the format has many episodes in a file, each with stamps from zero."""
     files = sorted((dataset / "data" / "chunk-000").glob("*.parquet"))
     whole = [
-        parquet.read_table(file).append_column("episode_index", pa.array([i] * len(T))) for i, file in enumerate(files)
+        parquet.read_table(file).append_column("episode_index", pa.array([i] * len(T)))
+        for i, file in enumerate(files, first)
     ]
     parquet.write_table(pa.concat_tables(whole), dataset / "file-000.parquet")
     text = STAGE.replace("data/chunk-*/episode_*.parquet", "file-000.parquet, split: episode_index")
     (dataset / "stage.yaml").write_text(text)
     trials = tables.read(dataset / "stage.yaml")
-    assert {trial.name for trial in trials} == {f"file-000-{i}/{joint}" for i in (0, 1) for joint in ("pan", "tilt")}
+    numbers = first, first + 1
+    assert {trial.name for trial in trials} == {f"file-000-{i}/{joint}" for i in numbers for joint in ("pan", "tilt")}
     assert all(len(trial.channels["measured"]) == len(T) for trial in trials)
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("element: 0", "column timestamp contains plain numbers, not lists; leave `element` out"),
+        ("row: 7", "column timestamp has no rows to choose from; leave `row` out"),
+    ],
+)
+def test_a_place_in_a_column_without_lists_or_rows_is_refused(dataset, place, message):
+    text = STAGE.replace("pan: {source: observation.state, element: 0", f"pan: {{source: timestamp, {place}")
+    (dataset / "stage.yaml").write_text(text)
+    with pytest.raises(TrialError, match=message):
+        tables.read(dataset / "stage.yaml")
 
 
 def test_a_column_for_the_split_that_is_missing_is_an_error(dataset):

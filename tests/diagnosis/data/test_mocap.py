@@ -324,6 +324,12 @@ def test_readings_at_another_time_are_refused(arm):
         solved(arm, columns, {"rail": TRUE[:, 0]}, T + 100)
 
 
+def test_encoders_of_one_row_have_no_time_in_common(arm):
+    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
+    with pytest.raises(TrialError, match=r"run.csv: motion capture and rail have no time in common"):
+        solved(arm, columns, {"rail": TRUE[:1, 0]}, T[:1])
+
+
 def test_tracked_points_whose_joints_are_all_known_are_refused(arm):
     with pytest.raises(TrialError, match="every joint that moves carriage has a column of its own; leave `mocap` out"):
         Skeleton(arm, ["carriage_x"], ["rail"])

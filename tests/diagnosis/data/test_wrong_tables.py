@@ -71,6 +71,7 @@ FILES = "{command: sent.csv, measured: seen.csv}"
     [
         ("lag_s: 0.05", "tau_s: 1", r"stage.yaml:7: model.tau_s: unknown key; did you mean lag_s\?"),
         ("model:", BASE, r"stage.yaml:7: channels.base: unknown channel; a tracking stage has command, measured; call"),
+        ("name: chamber", "name: v1.2", r"stage.yaml: v1.2: its name holds a dot, which separates .*; rename it"),
         ("kind: tracking", "kind: tracking\nlinks: 2", r"links: is for a chain or a pendulum"),
         ("kind: tracking", "kind: tracking\nangles: relative", r"angles: is for a chain"),
         ("tracking", "trakcing", r"stage.yaml:3: kind: is 'trakcing'; allowed 'tracking' or"),
@@ -110,6 +111,23 @@ def test_a_mistake_in_a_stage_file_is_reported_with_place_and_next_step(rig, old
 def test_a_cell_without_a_number_is_reported_with_its_row(rig, cell, says):
     rig.cell(7, cell)
     assert_refused(rig, r"seen.csv: column p, row 7: " + says)
+
+
+@pytest.mark.parametrize(("wrong", "says"), [(1.0, ()), (2.2, ("velocity is 2.2 times the slope of position",))])
+def test_only_a_wrong_velocity_beside_its_position_gives_a_warning(rig, wrong, says):
+    rig.seen["v"] = wrong * np.gradient(rig.seen["p"], T)
+    rig.says("pressure: {source: p, unit: kPa}", "position: {source: p, unit: mm}, velocity: {source: v, unit: mm/s}")
+    rig.says("command: {source: u, unit: kPa}", "command: {source: u, unit: mm}")
+    (trial,) = tables.read(rig.write())
+    assert len(trial.warnings) == len(says)
+    assert all(text in warning for text, warning in zip(says, trial.warnings, strict=True))
+
+
+def test_commands_beyond_a_map_reach_the_ends_of_its_lines(rig):
+    rig.says("lag_s: 0.05", "map: [[0, 0], [10, 10]]")
+    (trial,) = tables.read(rig.write())
+    assert trial.warnings == ()
+    assert trial.stage.reached(np.array([-1.0, 5.0, 80.0])) == pytest.approx([-1.0, 5.0, 80.0])
 
 
 def _short(rig):
