@@ -18,7 +18,6 @@ from softarm.diagnosis.rigs.mjcf.film import film
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP
 from softarm.diagnosis.rigs.settling import common_law, is_other_law
 from softarm.diagnosis.rigs.stage import VIEWS, Finding, Held, examine, is_rated
-from softarm.diagnosis.rigs.tracking import velocity_warnings
 from softarm.diagnosis.rigs.whole import judged
 from softarm.schemas.verdict import Verdict, Where
 
@@ -59,7 +58,7 @@ def diagnose_table(
     _with_one_law(own, found, budget_s / len(own), report, processes)
     joint = _joint(own, found, budget_s / len(own), report, processes)
     stages = [found[name].rated(found) for name in sorted(own)]
-    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
+    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings)]
     warnings += [text for stage in stages for text in stage.warnings]
     warnings += joint
     answers = [stage.answer for stage in stages]

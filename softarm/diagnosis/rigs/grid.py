@@ -110,7 +110,7 @@ def resolution(signals: Sequence[Array]) -> float:
 
 
 def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
-    """Cut a trial into equal windows of about this length; each is a trial with the original stamps."""
+    """Cut a trial into equal windows of about this length; each is a trial with its stamps and the whole input."""
     series = trial.channels["measured"]
     start, end = float(series.t_s[0]), float(series.t_s[-1])
     count = max(1, round((end - start) / seconds))
@@ -122,7 +122,7 @@ def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
             trial,
             name=f"{trial.name} from {low - start:.4g} s",
             recording=trial.recording or trial.name,
-            channels={name: s.kept((s.t_s >= low) & (s.t_s < high)) for name, s in trial.channels.items()},
+            channels={**trial.channels, "measured": series.kept((series.t_s >= low) & (series.t_s < high))},
         )
         for low, high in pairwise(edges)
     )

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_filter
 
 from softarm.diagnosis.data.trials import Series, Trial, TrialError
@@ -80,7 +81,7 @@ def motion(g: Grid, column: str, step: float, limit: float, *, speed_alone: bool
 
 def widened(out: NDArray[np.bool_], step_s: float) -> NDArray[np.bool_]:
     """Return samples that are left out, with a margin before and after each, [T]."""
-    return np.asarray(np.convolve(out, np.ones(2 * round(MARGIN_S / step_s) + 1), "same") > 0)
+    return np.asarray(maximum_filter1d(out, 2 * round(MARGIN_S / step_s) + 1, mode="constant"))
 
 
 def motions(

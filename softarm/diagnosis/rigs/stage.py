@@ -61,8 +61,6 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView | JointView]]
 HALVINGS = 3
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
-# Energy of a gap that needs no effect, for a joint of a MuJoCo model, whose floor is known better than other rigs'.
-IGNORED_MUJOCO = 2.0
 # Names of one stage that may have a confidence; blind cases have no more faults at one stage.
 RATED_MOST = 2
 # A further effect within so many tolerances is none if the calibration leaves at most so many times its RMS gap. Of 17
@@ -192,8 +190,7 @@ def examine(
         view, notes = holding(part_of(used)), [note]
     setup, losses = settled(view, used.kinds, used.origins, law)
     thresholds = WINDOWED if view.fits_starts and len(set(used.origins)) >= TRIALS_LEAST else RIG
-    if stage_of(trials).kind == "mujoco":
-        thresholds = replace(thresholds, gain=replace(thresholds.gain, ignored=IGNORED_MUJOCO))
+    thresholds = replace(thresholds, gain=replace(thresholds.gain, ignored=view.ignored))
     search = replace(thresholds.search, refit=view.restarts_few_effects)
     if notes:  # each repeat costs as much as the search
         search = replace(search, restarts=RESTARTS_BOUND)

@@ -6,7 +6,7 @@ plan counts rollouts: the same data and budget give the same stretches, and the 
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ def together(
     lead, found, numbers = views[0], list(stretches), [view.trial for view in views]
     if not lead.fits_starts:
         seconds = lengths_s(lead, stretches[0].trials, share)
-        parts = [[cut(t, s) for t, s in zip(each.trials, seconds, strict=True)] for each in stretches]
+        parts = [[windows(t, s) for t, s in zip(each.trials, seconds, strict=True)] for each in stretches]
         numbers = [_pieces_of_samples(view, part) for view, part in zip(views, parts, strict=True)]
         found = [each.cut_into(part) for each, part in zip(stretches, parts, strict=True)]
     sizes = np.bincount(numbers[0], minlength=len(found[0].trials)).astype(float)
@@ -116,12 +116,6 @@ def lengths_s(view: RigView, trials: Sequence[Trial], share: float) -> list[floa
     least_s = max(each_s, LEAST_BLOCKS * view.block_s)
     usual_s = (max(view.blocks_each * view.block_s, view.blocks_each / 4 * s / PIECES_MOST) for s in wholes_s)
     return [min(usual, least_s) for usual in usual_s]
-
-
-def cut(trial: Trial, seconds: float) -> tuple[Trial, ...]:
-    """Cut a recording into stretches of about this length; each keeps the whole input, whose past acts on it."""
-    parts = windows(trial, seconds)
-    return tuple(replace(part, channels={**trial.channels, "measured": part.channels["measured"]}) for part in parts)
 
 
 def _pieces_of_samples(view: RigView, parts: Sequence[Sequence[Trial]]) -> NDArray[np.int64]:

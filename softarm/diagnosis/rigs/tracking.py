@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softarm.common.quantity import PURE
 from softarm.diagnosis.data.trials import Series, TableStage, Trial, stage_of
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, held_means, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import tracking as law
 from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
@@ -25,8 +25,6 @@ SUBSTEPS, FEW = 2, 12_000
 # The start of a trial is skipped, because earlier commands still show: at most this share of the trial, and at most
 # this multiple of the delay.
 SKIPPED, SETTLED = 0.03, 5.0
-# Relative difference between a velocity and its position's slope beyond which the two have different units.
-SLOPE_TOLERANCE = 0.3
 # Share of the signal's RMS that averaging a fast source may lose.
 RESOLVED = 3e-3
 # Least number of samples that remain of a trial, and largest number of samples that are averaged into one.
@@ -76,7 +74,7 @@ class TrackingView(RigView):
         grids = [grid(t.channel("measured"), rate) for t in trials]
         commands = [_mean_command(t.channel("command"), about) for t in trials]
         seen = [g.columns[column] for g in grids]
-        means = [_held(g, c) for g, c in zip(grids, commands, strict=True)]
+        means = [held_means(c, g.t_s[0], g.step_s, len(g.t_s)) for g, c in zip(grids, commands, strict=True)]
         self.scales = scales([g.t_s for g in grids], means, seen)
         shown = [
             np.where(g.t_s - g.t_s[0] < _skipped(g, self.scales.late_s), np.nan, s)[:, None]
@@ -171,38 +169,10 @@ class TrackingView(RigView):
         return np.diff(np.interp(edges, t, summed)) / h, held[last]
 
 
-def velocity_warnings(trials: Sequence[Trial]) -> list[str]:
-    """Return a warning for every tracking stage whose measured velocity is not the slope of its position."""
-    slopes: dict[str, list[float]] = {}
-    for trial in trials:
-        stage, measured = stage_of([trial]), trial.channel("measured")
-        if stage.kind == "tracking" and {"position", "velocity"} <= measured.columns.keys():
-            x, t, v = measured["position"], measured.t_s, measured["velocity"]
-            slope = (x[6:] - x[:-6]) / (t[6:] - t[:-6])
-            if slope @ slope > 0:
-                slopes.setdefault(stage.name, []).append(float(slope @ v[3:-3] / (slope @ slope)))
-    return [
-        f"{stage}: the measured velocity is {np.median(found):.2g} times the slope of its position, so one of the two "
-        "has a wrong unit or scale. Only the position is used. Correct `unit` in the stage.yaml"
-        for stage, found in slopes.items()
-        if abs(np.median(found) - 1) > SLOPE_TOLERANCE
-    ]
-
-
 def _mean_command(series: Series, stage: TableStage) -> tuple[Array, Array]:
     """Stamps, and the integral of the nominal final value under the held command; extended at both ends."""
     margin = float(series.t_s[-1] - series.t_s[0]) + 1.0
-    return held_integral(series, _nominal_end(series["command"], stage), margin)
-
-
-def _nominal_end(command: Array, stage: TableStage) -> Array:
-    """Final value of the nominal model: by `map`, extrapolated beyond its ends, or by `gain` and `offset`."""
-    if "map" not in stage.model:
-        return np.asarray(command * stage.number("gain", 1.0) + stage.number("offset", 0.0))
-    at, reached = np.asarray(stage.model["map"], dtype=float).T
-    slopes = np.diff(reached) / np.diff(at)
-    below, above = np.minimum(command - at[0], 0.0), np.maximum(command - at[-1], 0.0)
-    return np.asarray(np.interp(command, at, reached) + slopes[0] * below + slopes[-1] * above)
+    return held_integral(series, stage.reached(series["command"]), margin)
 
 
 def resolving_hz(series: Series, column: str) -> float:
@@ -230,12 +200,6 @@ def _between_changes(command: Series) -> Array:
 def _skipped(g: Grid, late_s: float) -> float:
     """Time that is skipped at a trial's start, s."""
     return min(SKIPPED * float(g.t_s[-1] - g.t_s[0]), SETTLED * late_s)
-
-
-def _held(g: Grid, command: tuple[Array, Array]) -> Array:
-    """Mean of the command over every sample."""
-    t, summed = command
-    return np.asarray((np.interp(g.t_s + g.step_s, t, summed) - np.interp(g.t_s, t, summed)) / g.step_s)
 
 
 def _signals(g: Grid, u: Array, seen: Array, scale: TrackingScales) -> dict[str, Array]:

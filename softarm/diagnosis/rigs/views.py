@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
+from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.rigs.owner_units import owners
@@ -81,6 +82,7 @@ class RigView(View):
             if they leave a much smaller gap.
         driven_by: stages whose measured motion loads this stage.
         assumptions: warnings about the description, which hold before any fit.
+        ignored: energy of a gap that needs no effect, in noise floors squared.
         step_cost_s: processor time of a search per planned rollout and integration step, s; measured once.
     """
 
@@ -88,6 +90,7 @@ class RigView(View):
     fits_starts = False
     restarts_few_effects = False
     blocks_each = 4
+    ignored = RIG.gain.ignored
     step_cost_s = 0.07e-6
     far_starts: Mapping[str, tuple[float, ...]] = {}
     gap_starts: Mapping[str, tuple[float, ...]] = {}

@@ -55,8 +55,10 @@ def judged(
     if not loaded:
         return []
     made = dict[str, tuple[RigView, Stretches]]()
-    for stage in sorted({s for stages in loaded.values() for s in stages}):
-        view, windows = view_of(own[stage])
+    for stage, trials in _common_trials(own, {s for stages in loaded.values() for s in stages}).items():
+        if not trials:
+            return []
+        view, windows = view_of(trials)
         made[stage] = view.adopt(found[stage].assumed), windows
     try:
         joint, common = _searched(made, loaded, found, budget_s)
@@ -71,6 +73,13 @@ def judged(
         for (effect, part), stages in loaded.items()
     )
     return [each for each in judgements if each is not None]
+
+
+def _common_trials(own: Mapping[str, Sequence[Trial]], stages: Iterable[str]) -> dict[str, list[Trial]]:
+    """Return the trials of some stages in the recordings that all of them have; a joint may stand still in one."""
+    of = {stage: {t.name.removesuffix(f"/{stage}"): t for t in own[stage]} for stage in sorted(stages)}
+    common = set.intersection(*map(set, of.values()))
+    return {stage: [t for name, t in each.items() if name in common] for stage, each in of.items()}
 
 
 def _loaded(found: Mapping[str, Finding]) -> dict[tuple[str, str], list[str]]:

@@ -12,6 +12,7 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs import subsample
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.grid import windows
 from softarm.diagnosis.rigs.stage import view_of
 from softarm.diagnosis.rigs.subsample import KIND_LEAST, Stretches, most_informative, within
 from softarm.diagnosis.rigs.tracking import TrackingView
@@ -54,7 +55,7 @@ def test_every_kind_of_excitation_stays_for_the_held_out_data():
 
 def test_stretches_hold_every_sample_once_and_the_whole_input():
     trial = recordings()[0]
-    parts = subsample.cut(trial, 6.0)
+    parts = windows(trial, 6.0)
     assert len(parts) == len({part.name for part in parts}) == 7  # stretches of four blocks
     np.testing.assert_array_equal(np.concatenate([part.channels["measured"].t_s for part in parts]), T)
     assert all(part.channels["command"] is trial.channels["command"] for part in parts)

@@ -80,6 +80,15 @@ def test_a_joint_with_a_gap_without_a_cause_says_nothing_about_a_common_effect(l
     assert judged(loaded, found) == []
 
 
+@pytest.mark.slow
+def test_recordings_in_which_a_joint_stands_still_do_not_count(loaded):
+    names = shown(loaded, pan=("payload",), tilt=("payload",))
+    (without,) = judged({"pan": loaded["pan"][1:], "tilt": loaded["tilt"]}, names)
+    (both,) = judged({joint: trials[1:] for joint, trials in loaded.items()}, names)
+    assert without == both
+    assert judged({"pan": loaded["pan"][:1], "tilt": loaded["tilt"][1:]}, names) == []
+
+
 def kg_of(share):
     """Return a share of the camera's mass, kg."""
     return share * mujoco.MjModel.from_xml_path(str(ROBOTS["camera"].model)).body("camera").mass[0]

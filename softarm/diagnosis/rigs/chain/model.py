@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-from softarm.diagnosis.data.trials import TableStage, TrialError
+from softarm.diagnosis.data.trials import TableStage
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import chain as law
 
@@ -96,7 +96,7 @@ class Chain:
 
 
 def chain_of(stage: TableStage) -> Chain:
-    """Return the model of a stage; raise TrialError if a parameter has the wrong length."""
+    """Return the model of a stage."""
     model = stage.model
     mass, centre = (np.ravel(np.asarray(model[name], dtype=float)) for name in ("mass_kg", "centre_m"))
     n = len(mass)
@@ -105,8 +105,6 @@ def chain_of(stage: TableStage) -> Chain:
     else:
         own = _each(stage, "inertia_joint_kg_m2", n)
     length, lengths = np.zeros(n), np.ravel(np.asarray(model.get("length_m", ()), dtype=float))
-    if len(lengths) < n - 1:
-        raise TrialError(f"{stage.name}: model.length_m has {len(lengths)} values, {n} links need {n - 1}; add them")
     length[: min(n, len(lengths))] = lengths[:n]
     beyond = np.concatenate((np.cumsum(mass[::-1])[::-1][1:], [0.0]))  # mass beyond each link
     return Chain(
@@ -126,10 +124,7 @@ def chain_of(stage: TableStage) -> Chain:
 
 def _each(stage: TableStage, name: str, n: int) -> Array:
     """Values of a key, one per link; a single value holds for all links."""
-    values = np.ravel(np.asarray(stage.model.get(name, 0.0), dtype=float))
-    if len(values) not in (1, n):
-        raise TrialError(f"{stage.name}: model.{name} has {len(values)} values for {n} links; give one or one each")
-    return np.array(np.broadcast_to(values, n))
+    return np.array(np.broadcast_to(np.ravel(np.asarray(stage.model.get(name, 0.0), dtype=float)), n))
 
 
 def absolute(chain: Chain, values: Array) -> Array:

@@ -31,6 +31,8 @@ ALIKE_LEAST = 0.5
 RUBBING = 2.0
 # Share of a torque's square that is no friction, at least, to judge its size.
 OWN = 0.05
+# Share of a signal's largest value up to which its range is rounding.
+ROUNDING = 1e-9
 # Share of the commanded travel up to which a joint counts as stuck.
 STUCK = 0.02
 # Share of a command's power at frequencies that the smoothing keeps, and its width at most, in lengths of a recording.
@@ -58,7 +60,7 @@ def mistakes(joint: Joint, where: str, signals: Compared) -> Iterator[str]:
         signals: command and motion of the joint.
     """
     seen, command, needed, friction = signals[:4]
-    if np.ptp(command) <= 0 or np.ptp(seen) <= 0:
+    if _is_constant(command) or _is_constant(seen):
         return
     follows = joint.follows
     answer, other = (seen, needed) if follows else (needed, seen)
@@ -151,6 +153,11 @@ def _times(command: Array, needed: Array, friction: Array) -> float:
     return float(1 / share[0])
 
 
+def _is_constant(signal: Array) -> bool:
+    """Return whether a signal varies by no more than the rounding of its means over samples."""
+    return bool(np.ptp(signal) <= ROUNDING * np.max(np.abs(signal)))
+
+
 def unexplained(command: Array, friction: Array, *torques: Array) -> float:
     """Return the share of a given torque's square that positive multiples of torques and any friction leave.
 
@@ -159,7 +166,7 @@ def unexplained(command: Array, friction: Array, *torques: Array) -> float:
         friction: laws of friction along the motion, [T, 2].
         torques: other torques, [T each].
     """
-    if np.ptp(command) <= 0:
+    if _is_constant(command):
         return 0.0
     known, target = np.column_stack((*torques, friction)), command - command.mean()
     known = known - known.mean(axis=0)

@@ -9,7 +9,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_integral, held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.activation import Strength
-from softarm.diagnosis.rigs.mjcf.actuators import Actuator
+from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.motion import Motion
@@ -65,11 +65,11 @@ class Drive:
         """Return stamps and integral of a signal made of the commands of each trial, such as `Actuator.sent`."""
         return [held_integral(each, signal(each.__getitem__), MARGIN_S) for each in self._commands]
 
-    def follow(self, motions: Sequence[Motion], others: OtherJoints) -> None:
+    def follow(self, motions: Sequence[Motion], others: OtherJoints, actuators: Actuators) -> None:
         """Set `lengths` and `sent`, and strengths, by the motion of the joint and of all others in each trial."""
         self._motions, self.lengths = motions, list[tuple[Array, Array]]()
         if self.actuator is not None and self.actuator.by_motion:
-            self._activate(self.actuator.shares, others)
+            self._activate(self.actuator.shares, others, actuators)
         around = others.around
         pairs = zip(self.inputs, motions if self.inputs else (), strict=True)
         self.sent = [
@@ -84,20 +84,21 @@ class Drive:
         both = zip(self.sent, self.lengths, strict=True)
         self.sent = [command - kp * length - kd * speed for command, (length, speed) in both]
 
-    def _activate(self, actuators: Mapping[str, Actuator], others: OtherJoints) -> None:
+    def _activate(self, shares: Mapping[str, Actuator], others: OtherJoints, actuators: Actuators) -> None:
         """Set the inputs of actuators whose strengths change with the motion."""
-        self.shares, self.strengths = {name: [] for name in actuators}, {name: [] for name in actuators}
+        self.shares, self.strengths = {name: [] for name in shares}, {name: [] for name in shares}
         for commands, m, course in zip(self._commands, self._motions, others.courses, strict=True):
             t_s, step_s = m.grid.t_s, m.grid.step_s
             around = Series(t_s - 0.5 * step_s, {})  # values hold half a step to either side of their sample
             total = np.zeros_like(t_s)
-            for (name, each), strength in zip(actuators.items(), others.strengths(actuators, course), strict=True):
+            strengths = actuators.strengths(shares, course.centre)
+            for (name, each), strength in zip(shares.items(), strengths, strict=True):
                 sent = np.clip(commands[name], each.command_low, each.command_high)
                 stamps, summed = held_integral(commands, sent, MARGIN_S)
                 signal = stamps + each.delay_s, summed
                 if each.settles_s:  # the commands before a sample make its activation
                     before = held_means(signal, t_s[0] - step_s, step_s, len(t_s))
-                    signal = held_integral(around, others.activation(name, before, step_s), MARGIN_S)
+                    signal = held_integral(around, actuators.activation(name, before, step_s), MARGIN_S)
                 total += strength.active * held_means(signal, around.t_s[0], step_s, len(t_s)) + strength.passive
                 self.shares[name].append(signal)
                 self.strengths[name].append(strength)

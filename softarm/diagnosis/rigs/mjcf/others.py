@@ -10,7 +10,6 @@ from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import Grid
 from softarm.diagnosis.rigs.laws import joint as laws
-from softarm.diagnosis.rigs.mjcf.activation import Strength
 from softarm.diagnosis.rigs.mjcf.mechanism import Changes, Course, Joint, Mechanism
 from softarm.diagnosis.rigs.mjcf.noise import correlations, drawn
 from softarm.diagnosis.rigs.motion import Motion, differences, smoothed
@@ -56,14 +55,6 @@ class OtherJoints:
         found = self._terms(self._courses(own, around))
         found[laws.INERTIA] -= late_s * found[laws.BY_SPEED]  # the joint's own simulated speed
         return found
-
-    def strengths(self, actuators: Iterable[str], course: Course) -> list[Strength]:
-        """Return the strengths of some actuators of the joint along the motion of one trial."""
-        return self._mechanism.actuators.strengths(actuators, course.centre)
-
-    def activation(self, actuator: str, command: Array, step_s: float) -> Array:
-        """Return the activation of an actuator; see `Activation.of`."""
-        return self._mechanism.actuators.activation(actuator, command, step_s)
 
     def smoothed(self, smooth: Callable[[Iterable[Array]], Array]) -> dict[str, tuple[Array, Array, Array]]:
         """Return position, speed and acceleration of each column, the joint's too, smoothed; smooth: of recordings."""

@@ -82,6 +82,7 @@ GIVES = np.linspace(0.0, 4.0, 9)
 class JointView(RigView):
     """View from a joint's command, or its measured torque, to its position."""
 
+    ignored = 2.0  # the floor is known better than other rigs'
     step_cost_s = 0.06e-6  # of an arm with many gaps, which takes three times its plan
     blocks_each = 2
     shared = frozenset(("mass", "length", "payload", "tilt"))
@@ -102,7 +103,7 @@ class JointView(RigView):
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
         self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._drive.follow(self._motions, self._others)
+        self._drive.follow(self._motions, self._others, self._mechanism.actuators)
         self._slopes = Slopes(self._mechanism, joint, self._others)
         self._torques = Torques(self._slopes, self._motions)
         self._held = [self._mechanism.held(joint, course) for course in self._others.courses]

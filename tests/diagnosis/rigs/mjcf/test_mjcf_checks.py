@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes, unlike
+from softarm.diagnosis.data.trials import Series, TrialError
+from softarm.diagnosis.rigs.grid import held_integral, held_means
+from softarm.diagnosis.rigs.mjcf.checks import Compared, assumptions, mistakes, unexplained, unlike
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.view import JointView
 from tests.diagnosis.rigs.recordings import of_joint, rms, view_of_joint
@@ -294,6 +295,19 @@ def test_a_torque_of_another_form_is_no_wrong_unit(alike, refused):
     command, other, seen = np.random.default_rng(4).normal(size=(3, 5000))
     needed = 10 * (alike * command + np.sqrt(1 - alike**2) * other)
     assert bool(complaints(signals(seen, np.gradient(seen), command, needed))) == refused
+
+
+@pytest.mark.parametrize("torque", [0.3, 0.5, 1.0, 2.37])
+def test_a_constant_torque_says_nothing_of_the_motion(torque):
+    """Its means over samples differ by rounding."""
+    speed = np.random.default_rng(4).normal(size=5000)
+    stamps = Series(np.arange(0.0, 50.0, 0.01), {})
+    command = held_means(held_integral(stamps, np.full(5000, torque), 1.0), 0.0, 0.01, 5000)
+    assert np.ptp(command) > 0
+    assert unexplained(command, speed[:, None], speed) == 0.0
+    hip = Mechanism(ROBOTS["leg"].model).joint("hip")
+    found = signals(np.cumsum(speed), speed, command, speed)
+    assert [*complaints(found), *unlike(hip, found)] == []
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])
