@@ -122,16 +122,24 @@ def _served(server: Any) -> Iterator[None]:
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
     thread.start()
     assert ready.wait(20)
-    yield
-    loop.call_soon_threadsafe(ended.set)
-    thread.join(20)
-    loop.close()
+    try:
+        yield
+    finally:
+        loop.call_soon_threadsafe(ended.set)
+        thread.join(20)
+        loop.close()
 
 
 @pytest.fixture
 def served() -> Callable[[Any], AbstractContextManager[None]]:
     """A context in which a server (`open` and `close` are coroutines) serves from a thread of its own."""
     return _served
+
+
+@pytest.fixture
+def ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the priority of the test process, in which some tests run the daemon."""
+    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)
 
 
 @pytest.fixture

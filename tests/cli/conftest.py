@@ -124,14 +124,8 @@ def campaign(tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the priority of the test process, in which some tests run the daemon."""
-    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)
-
-
-@pytest.fixture(autouse=True)
-def _no_announcements(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Suppress announcements of long waits, which depend on the load."""
+def _no_announcements(ordinary_scheduling: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Suppress announcements of long waits, which depend on the load, and keep the priority of the process."""
     monkeypatch.setattr("softarm.cli.shared.console.PATIENCE_S", 600.0)
     monkeypatch.setattr("softarm.common.processes.FIRST_LINE_S", 600.0)
 

@@ -10,6 +10,8 @@ from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas import excitation
 from softarm.schemas.config import Config
 
+pytestmark = pytest.mark.usefixtures("ordinary_scheduling")
+
 
 @pytest.fixture
 def config(tmp_path, monkeypatch) -> Config:
@@ -18,12 +20,6 @@ def config(tmp_path, monkeypatch) -> Config:
     monkeypatch.setitem(excitation.EXCITATIONS, "short", short)
     monkeypatch.setattr("softarm.policies.excite.LEAD_IN_S", 0.5)
     return Config.model_validate({"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}})
-
-
-@pytest.fixture(autouse=True)
-def _ordinary_scheduling(monkeypatch):
-    """Keep the test process at its normal priority."""
-    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)
 
 
 @pytest.mark.realtime

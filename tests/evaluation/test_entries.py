@@ -22,7 +22,6 @@ def folder(tmp_path, monkeypatch):
         file.symlink_to(MODELS / f"{model}.onnx")
     (tmp_path / "runs" / "begun").mkdir()
     (tmp_path / "runs" / "begun" / "latest.pt").touch()
-    (tmp_path / "best.pt").touch()
     return tmp_path
 
 
@@ -68,9 +67,7 @@ def test_a_file_in_a_folder_of_several_has_its_path_as_the_name(folder):
 @pytest.mark.parametrize(
     ("policy", "message"),
     [
-        ("raech", "no policy raech; did you mean reach?"),
         ("runs/mnie", "runs/mnie: does not exist; name an ONNX file, or the folder"),
-        ("best.pt", "best.pt: is no ONNX file; .*`softarm dev export`"),
         ("runs/begun", "runs/begun: the run has not written its policy yet"),
         ("runs", r"runs: no policy .* in this folder; name one of runs/mine"),
         ("damaged", "no policy damaged; "),

@@ -27,7 +27,7 @@ def test_a_fast_network_is_trusted(network):
     assert isinstance(trusted.runner(network, BUDGET_S), InlineRunner)
 
 
-def test_a_slow_network_and_any_plug_in_have_a_thread(network):
+def test_a_slow_network_and_any_plug_in_have_a_thread():
     slow = OnnxPolicy("reach")
     slow.step_s = 0.0021
     derived = Derived("reach")

@@ -20,9 +20,9 @@ def limited(force_n: float) -> dict[str, dict[str, float]]:
     return seed_effects() | {"rail.force_limit": {"force": force_n}}
 
 
-def ride(effects: dict[str, dict[str, float]], command: float, push: float, seconds: float = 0.3) -> np.ndarray:
+def ride(effects: dict[str, dict[str, float]], command: float, push: float) -> np.ndarray:
     """Velocities of a cart without an arm, at 1200 Hz."""
-    t = np.arange(round(1200 * seconds)) / 1200
+    t = np.arange(360) / 1200
     model = Model(cart=ENDLESS, effects=effects)
     v = stages.rail_alone(model, t, np.full(len(t), command), t, arm_force_n=push, physics_rate_hz=1200.0)
     return np.asarray(v[:, 0], dtype=float)

@@ -62,7 +62,7 @@ def test_plans_keep_a_margin_to_the_limits(report):
     assert np.abs(plans.command[0, :, 0]).max() > 0.05  # it does move
 
 
-def test_equal_seeds_give_equal_plans(small, monkeypatch):
+def test_equal_seeds_give_equal_plans(small):
     one, two = (plan(TARGETS[:1], (0.0,), seed=3).plans for _ in range(2))
     np.testing.assert_array_equal(one.command, two.command)
     np.testing.assert_array_equal(one.steps, two.steps)

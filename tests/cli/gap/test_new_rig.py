@@ -6,6 +6,7 @@ import pytest
 from softarm.cli.gap import new_rig
 from softarm.diagnosis.data import tables
 from tests.cli.invoke import invoke, refuse, succeed
+from tests.diagnosis.data import servo
 
 T = np.arange(200) * 0.02
 COMMAND, MEASURED = 30 * np.sin(3 * T), 30 * np.sin(3 * (T - 0.1))
@@ -13,8 +14,7 @@ COMMAND, MEASURED = 30 * np.sin(3 * T), 30 * np.sin(3 * (T - 0.1))
 
 def record(path, head, *columns):
     path.parent.mkdir(exist_ok=True)
-    lines = (";".join(f"{x:.4f}".replace(".", ",") for x in row) for row in zip(*columns, strict=True))
-    path.write_text("\n".join([head, *lines, ""]))
+    path.write_text(servo.table(head, *columns, delimiter=";", decimal=","))
 
 
 @pytest.fixture

@@ -7,18 +7,16 @@ import click
 import pytest
 
 from softarm.cli.gap import close_gap as wires
-from softarm.daemon.limits.findings import RailFindings, compared
-from softarm.daemon.limits.measured import measure
 from softarm.evaluation.closing import story
 from softarm.schemas.config import Config, Limits, RailLimits
+from tests.evaluation.closing.cases import findings
 
 SAID = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")
 KNOWN = Config(limits=Limits(rail=RailLimits(**{key: getattr(RailLimits(), key) for key in SAID})))
 
 
 def closed(config=KNOWN):
-    measured = measure((), 6.0)
-    return SimpleNamespace(retrained=object(), rail=RailFindings(config, measured, compared(measured, config)))
+    return SimpleNamespace(retrained=object(), rail=findings(config))
 
 
 CLOSED = closed()

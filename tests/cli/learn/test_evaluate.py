@@ -116,14 +116,6 @@ def measured(monkeypatch):
     return flown
 
 
-def test_files_folders_and_names_stand_in_one_table_in_their_order(runs, measured, tmp_path):
-    names = [str(MODELS / "shelf.onnx"), str(runs), "reach", str(runs / "mine" / "seed-1"), "pid"]
-    run(*names, "--workers", 1, "--json", tmp_path / "all.json")
-    table = json.loads((tmp_path / "all.json").read_text())
-    assert list(table["policies"]) == [names[0], f"{runs}/mine", *names[2:]]
-    assert table["seeds"][f"{runs}/mine"] == [1, 2]
-
-
 def test_files_and_folders_are_added_to_all_policies(runs, measured, tmp_path):
     folder = str(runs / "mine" / "seed-1")
     run("--all", folder, "--only", "pid", "--test", "shelf", "--workers", 1)

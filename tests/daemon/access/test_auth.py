@@ -160,5 +160,5 @@ def test_only_the_proxy_may_name_the_clients_address(tokens, headers, address, d
     assert access.who("the API", PROXIED | headers, address, Role.VIEW) == f"the API (view token{details})"
 
 
-def test_without_a_proxy_the_forwarded_address_is_ignored(tmp_path):
+def test_without_a_proxy_the_forwarded_address_is_ignored():
     assert AccessControl(Api()).who("the API", PROXIED, "127.0.0.1") == "the API"

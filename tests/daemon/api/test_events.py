@@ -89,8 +89,8 @@ def test_an_invalid_number_is_refused_with_the_allowed_range(client, query, sent
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)  # this process is the tests'
+@pytest.mark.usefixtures("ordinary_scheduling")
+def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog):
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
     with caplog.at_level(logging.INFO, "softarm.events"), Daemon(config, simulated_devices()) as daemon:
         until(lambda: daemon.loop.snapshot is not None)

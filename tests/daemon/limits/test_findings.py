@@ -73,7 +73,7 @@ def test_no_limit_is_relaxed_and_a_valid_configuration_stays_valid():
         assert list(contradictions(result.patched)) == []
 
 
-def test_braking_that_a_new_surge_contradicts_is_lowered_with_it(tmp_path):
+def test_braking_that_a_new_surge_contradicts_is_lowered_with_it():
     config = Config.model_validate({"limits": {"rail": {"surge_m_s2": 6.5, "braking_m_s2": 5.5}}})
     result = found(config, measured(0.03, 5.6, 8.1))
     braking = next(row for row in result.rows if row.key == "braking_m_s2")
@@ -103,7 +103,7 @@ def test_a_patch_is_a_configuration_that_check_accepts(tmp_path, config, seen):
     assert max(map(len, result.patch().splitlines())) < 160
 
 
-def test_a_limit_without_an_allowed_value_is_reported_and_kept(tmp_path):
+def test_a_limit_without_an_allowed_value_is_reported_and_kept():
     result = found(CONFIG, measured(0.03, -0.4, 9.0))
     braking = next(row for row in result.rows if row.key == "braking_m_s2")
     assert (braking.is_too_lax, braking.advised) == (True, None)

@@ -105,7 +105,7 @@ def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
     assert (seen[0], seen[-1]) == (0, 12)
 
 
-def test_a_log_without_measurements_is_not_replayed(tmp_path):
+def test_a_log_without_measurements_is_not_replayed():
     entries = list(Splitter().split(*make_tick(1)))
     joiner = Joiner()
     for entry in entries[1:-1]:

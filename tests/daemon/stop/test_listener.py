@@ -366,6 +366,6 @@ def test_the_stop_port_follows_the_apis_unless_configured(port, stop_port, expec
 
 
 @pytest.mark.parametrize(("port", "stop_port"), [(65535, None), (8080, 8080)])
-def test_two_zero_ports_are_different(port, stop_port):
+def test_a_stop_port_that_is_no_port_or_the_apis_is_refused(port, stop_port):
     with pytest.raises(ValueError, match="choose another"):
         Api(port=port, stop_port=stop_port)

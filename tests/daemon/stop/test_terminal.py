@@ -58,7 +58,7 @@ def test_the_terminal_is_restored_and_the_key_works_again_after_a_suspension(ter
     assert termios.tcgetattr(ours) == before
 
 
-def test_without_a_terminal_no_key_is_read(tmp_path):
+def test_without_a_terminal_no_key_is_read():
     read, write = os.pipe()
     os.write(write, b" ")
     with StopKey(lambda: pytest.fail("a pipe is no terminal"), read):

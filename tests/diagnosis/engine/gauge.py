@@ -36,16 +36,32 @@ class Gauge:
         return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
+class Linear(Gauge):
+    """Gauge whose reading is the sum of its parameters times their signals.
+
+    A subclass sets `signals`, path -> signal, and `nominal`, path -> value where that is not 0.
+    """
+
+    signals, nominal = {}, {}
+
+    @property
+    def acts(self):
+        return frozenset(self.signals)
+
+    def _predict(self, point):
+        return sum(point.get(path, self.nominal.get(path, 0.0)) * signal for path, signal in self.signals.items())
+
+
 def candidate(path, low, high, size, *starts, nominal=0.0, **more):
     """Return an effect with one parameter, absent at nominal."""
     parameter = FittedParameter(path, "-", nominal, low, high, size, nominal, **more)
     return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
 
 
-def channel(trials, length, step_s=1 / 60, **more):
+def channel(trials, length, **more):
     """Return the part of a view that tests of residuals need: trials of one length and a floor of one."""
     number = np.arange(trials * length)
-    stamps = step_s * (number % length)
+    stamps = 1 / 60 * (number % length)
     return SimpleNamespace(channels=("state",), floor=np.ones(1), trial=number // length, t_s=stamps, **more)
 
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from softarm.diagnosis.answer.calibration import WORTH, calibrated
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Linear, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 SCALE, BIAS, SLOPE = "stage.gain.scale", "stage.zero.bias", "stage.drift.slope"
@@ -18,25 +18,22 @@ NOMINAL = {each.path: each.nominal for each in NUISANCES}
 
 
 @dataclass
-class _Gauge(Gauge):
+class _Gauge(Linear):
     """A gauge with a scale, a bias and a slope in time; three trials."""
 
     truth: dict[str, float]
     seed: int = 0
     rate_hz: float = RATE_HZ
     drift: float = 0.0  # step of a slow disturbance
-    acts = frozenset({SCALE, BIAS, SLOPE})
+    nominal = NOMINAL
 
     def __post_init__(self):
         t = self._stamp(3, self.rate_hz, LENGTH_S)
-        self.inputs = np.concatenate((np.sin(2 * t), np.sign(np.sin(3 * t)), np.exp(-t)))
+        inputs = np.concatenate((np.sin(2 * t), np.sign(np.sin(3 * t)), np.exp(-t)))
+        self.signals = {SCALE: inputs, BIAS: 1.0, SLOPE: self.t_s}
         self._measure(self.truth, NOISE, self.seed)
         steps = np.random.default_rng(self.seed).normal(size=len(self.t_s))
         self.measured += self.drift * lfilter([1.0], [1.0, -0.995], steps)[:, None]
-
-    def _predict(self, point):
-        at = NOMINAL | dict(point)
-        return at[SCALE] * self.inputs + at[BIAS] + at[SLOPE] * self.t_s
 
 
 def calibration(truth, seed=0, rate_hz=RATE_HZ, drift=0.0):
@@ -101,7 +98,7 @@ class _Amplifier(_Gauge):
 
     def _predict(self, point):
         at = NOMINAL | dict(point)
-        return at[SCALE] * (self.inputs + at[BIAS] + at[BIAS] ** 2)
+        return at[SCALE] * (self.signals[SCALE] + at[BIAS] + at[BIAS] ** 2)
 
 
 @pytest.mark.parametrize(("share", "slope"), [(0.15, 1.5), (-0.3, 0.85)])

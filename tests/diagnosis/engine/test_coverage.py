@@ -11,16 +11,16 @@ from softarm.diagnosis.engine import structure
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.shrink import interval
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Linear, candidate
 
 TRIALS, RATE_HZ, LENGTH_S = 4, 30.0, 8.0
 STEPS = round(RATE_HZ * LENGTH_S)
 SAMPLES = TRIALS * STEPS
 T = (np.arange(SAMPLES) % STEPS) / RATE_HZ
 SCALE, BIAS = "stage.gain.scale", "stage.zero.bias"
-GAIN = candidate(SCALE, -0.5, 0.5, 0.1, 0.1)
+GAIN = candidate(SCALE, 0.5, 1.5, 0.1, 1.1, nominal=1.0)
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
-TRUE = {SCALE: 0.2, BIAS: 0.1}
+TRUE = {SCALE: 1.2, BIAS: 0.1}
 
 
 def bounds(runs, share, most=None):
@@ -29,25 +29,21 @@ def bounds(runs, share, most=None):
 
 
 @dataclass
-class _Gauge(Gauge):
-    """(1 + scale) x input + bias under noise that forgets itself within `memory_s`."""
+class _Gauge(Linear):
+    """Scale x input + bias under noise that forgets itself within `memory_s`."""
 
     seed: int
     memory_s: float = 0.0
-    floor = np.ones(1)
-    acts = frozenset({SCALE, BIAS})
+    floor, nominal = np.ones(1), {SCALE: 1.0}
     t_s, trial = T, np.arange(SAMPLES) // STEPS
 
     def __post_init__(self):
         draw = np.random.default_rng(self.seed)
-        self.input = np.sin(2 * np.pi * 0.4 * T + 6 * draw.random(TRIALS)[self.trial])
+        self.signals = {SCALE: np.sin(2 * np.pi * 0.4 * T + 6 * draw.random(TRIALS)[self.trial]), BIAS: 1.0}
         noise, keep = draw.normal(size=(STEPS, TRIALS)), np.exp(-1 / (RATE_HZ * self.memory_s)) if self.memory_s else 0
         noise[1:] *= np.sqrt(1 - keep**2)
         self.noise = lfilter([1.0], [1.0, -keep], noise, axis=0).T.reshape(-1, 1)
         self.measured = self._predict(TRUE)[:, None] + self.noise
-
-    def _predict(self, point):
-        return (1 + point.get(SCALE, 0.0)) * self.input + point.get(BIAS, 0.0)
 
 
 @pytest.mark.parametrize("memory_s", [0.0, 0.3], ids=["white", "a third of a second"])
@@ -72,7 +68,7 @@ def _halves(gauge):
 def test_an_interval_covers_the_law_error_that_the_residual_may_hide():
     """A sine of 0.3 that no law has, left beside an input of 1: as much again may lie along the input, so +-0.3."""
     gauge = _Gauge(0)
-    gauge.measured = (gauge._predict({SCALE: 0.2}) + 0.3 * np.sin(2 * np.pi * 0.9 * T))[:, None]
+    gauge.measured = (gauge._predict({SCALE: 1.2}) + 0.3 * np.sin(2 * np.pi * 0.9 * T))[:, None]
     inexact, exact = _halves(gauge)
     assert inexact == pytest.approx(0.3, rel=0.08)  # less what chance is granted
     assert exact < 0.05  # other blocks of the same would say the same
@@ -86,13 +82,13 @@ def test_white_noise_hides_no_law():
     assert inexact > 1.2 * exact  # what lasts a second may be a law
 
 
-def _shrinks(runs, unlike, trials=8):
+def _shrinks(runs, unlike):
     """Intervals of campaigns [runs, 3], and the shrink that another campaign of the same kind shows [runs].
 
     unlike: how much trials differ in what they excite of the gap; half as much in what is left of it.
     """
     draw = np.random.default_rng(1)
-    before = np.exp(unlike * draw.normal(size=(2, runs, trials)))
+    before = np.exp(unlike * draw.normal(size=(2, runs, 8)))
     after = 0.2 * before * np.exp(unlike / 2 * draw.normal(size=before.shape))
     found = np.array([interval(b, a) for b, a in zip(before[0], after[0], strict=True)])
     return found, 1 - np.sqrt(after[1].sum(axis=1) / before[1].sum(axis=1))

@@ -35,10 +35,8 @@ def _gain(value=100.0, **energies):
     return Gain(value, 0.5 * value, 1.5 * value, dict.fromkeys(energies, 0.9), energies)
 
 
-def _named_effect(name, equivalents=(), **energies):
-    return SelectedEffect(
-        candidate=KNOWN[name], without=_fit(), gain=_gain(**energies), rivals=(), equivalents=equivalents
-    )
+def _named_effect(name, **energies):
+    return SelectedEffect(candidate=KNOWN[name], without=_fit(), gain=_gain(**energies), rivals=(), equivalents=())
 
 
 def _choice(before, after, *selected, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):

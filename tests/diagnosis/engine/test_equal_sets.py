@@ -10,7 +10,7 @@ from softarm.diagnosis.engine import equal_sets
 from softarm.diagnosis.engine.candidates import Candidate
 from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate, search_in
+from tests.diagnosis.engine.gauge import Linear, candidate, search_in
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 12.0, 0.02
 # Every effect is a mixture of the same two signals, except the last, which is another signal.
@@ -26,22 +26,18 @@ SHAPED = Candidate(
 
 
 @dataclass
-class _View(Gauge):
+class _View(Linear):
     """A gauge that shows a constant plus what the effects of a point add."""
 
     truth: tuple[float, ...] = ()  # amplitudes of the slow, the fast and the other signal
-    acts = frozenset(f"stage.{name}.size" for name in (*MIXTURES, "shaped", "shape"))
 
     def __post_init__(self):
         self._stamp(2, RATE_HZ, LENGTH_S)
-        self.signals = np.sin(np.outer([3.0, 11.0, 7.0], self.t_s))
+        waves = np.sin(np.outer([3.0, 11.0, 7.0], self.t_s))
+        mixtures = MIXTURES | {"shaped": (1, 0, 0), "shape": (0, 0, 1)}
+        self.signals = {f"stage.{name}.size": mixture @ waves for name, mixture in mixtures.items()}
         self._measure(dict(zip(SIZES, self.truth, strict=False)), NOISE)
         self.noise = self.floor
-
-    def _predict(self, point):
-        sizes = np.array([point.get(f"stage.{name}.size", 0.0) for name in MIXTURES])
-        shaped = np.array([point.get("stage.shaped.size", 0.0), 0.0, point.get("stage.shape.size", 0.0)])
-        return (sizes @ np.array(list(MIXTURES.values())) + shaped) @ self.signals
 
 
 @pytest.fixture(params=[ROBOT, RIG], ids=["robot", "rig"])

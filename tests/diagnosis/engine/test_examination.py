@@ -12,7 +12,7 @@ from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Linear, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
@@ -36,7 +36,7 @@ def _fitted(problem, *sized):
 
 
 @dataclass
-class _View(Gauge):
+class _View(Linear):
     """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
 
     acts = frozenset({SWING, LEVEL, BIAS, STOP, TWIN})
@@ -44,15 +44,13 @@ class _View(Gauge):
     def __post_init__(self):
         t = self._stamp(3, RATE_HZ, LENGTH_S)
         self.swing = np.concatenate((np.sin(2 * t), np.sin(5 * t), np.sin(2 * t) + np.sin(5 * t)))
-        self.level = np.tile(t > LENGTH_S / 3, 3)
-        self.features = {"swing": self.swing, "level": self.level.astype(float)}
+        level = np.tile(t > LENGTH_S / 3, 3).astype(float)
+        self.features = {"swing": self.swing, "level": level}
+        self.signals = {SWING: self.swing, TWIN: self.swing + 1e-3 * np.cos(self.t_s), LEVEL: level, BIAS: 1.0}
         self._measure(TRUTH, NOISE)
 
     def _predict(self, point):
-        level = point.get(LEVEL, 0.0) * self.level
-        twin = point.get(TWIN, 0.0) * (self.swing + 1e-3 * np.cos(self.t_s))
-        reading = point.get(SWING, 0.0) * self.swing + twin + level + point.get(BIAS, 0.0)
-        return np.maximum(reading, point.get(STOP, 0.0) - 9.0)  # a stop that no sample reaches
+        return np.maximum(super()._predict(point), point.get(STOP, 0.0) - 9.0)  # a stop that no sample reaches
 
 
 @pytest.fixture(scope="module", params=[ROBOT, RIG], ids=["robot", "rig"])

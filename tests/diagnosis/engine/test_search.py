@@ -9,7 +9,7 @@ from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate, search_in
+from tests.diagnosis.engine.gauge import Gauge, Linear, candidate, search_in
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 PACE, LEVEL = "stage.pace.rate", "stage.level.height"
@@ -66,18 +66,14 @@ def test_a_rig_gets_no_further_effect_within_two_floors(thresholds, height, kept
 
 
 @dataclass
-class _Waves(Gauge):
+class _Waves(Linear):
     """A swing that two effects express alike, and waves that are absent."""
-
-    acts = frozenset(WAVES)
 
     def __post_init__(self):
         self._stamp(2, RATE_HZ, LENGTH_S)
-        self._measure({WAVES[0]: 0.8}, NOISE)
-
-    def _predict(self, point):
         shapes = (np.sin(2 * self.t_s), 0.9 * np.sin(2 * self.t_s), *(np.cos(k * self.t_s) for k in range(3, 9)))
-        return sum(point.get(path, 0.0) * shape for path, shape in zip(WAVES, shapes, strict=True))
+        self.signals = dict(zip(WAVES, shapes, strict=True))
+        self._measure({WAVES[0]: 0.8}, NOISE)
 
 
 @pytest.mark.parametrize("predicted", [8, 3], ids=["by fits", "by sensitivities"])
@@ -146,22 +142,19 @@ def test_the_linearisation_error_of_a_nuisance_is_counted():
 
 
 @dataclass
-class _Amplifier(Gauge):
+class _Amplifier(Linear):
     """A gauge with a wrong gain, seen in small inputs only, where a cubic law resembles a gain."""
 
     gain: float = 1.0
     cubic: float = 0.0
-    acts = frozenset({"stage.gain.scale", "stage.cubic.strength"})
 
     def __post_init__(self):
         self._stamp(2, RATE_HZ, LENGTH_S)
-        self.inputs = np.sin(2 * self.t_s)
+        inputs = np.sin(2 * self.t_s)
+        self.signals = {"stage.gain.scale": inputs, "stage.cubic.strength": inputs**3}
+        self.nominal = {"stage.gain.scale": 1.0}
         self._measure({"stage.gain.scale": self.gain, "stage.cubic.strength": self.cubic}, NOISE)
         self.noise = self.floor
-
-    def _predict(self, point):
-        scale, cubic = point.get("stage.gain.scale", 1.0), point.get("stage.cubic.strength", 0.0)
-        return scale * self.inputs + cubic * self.inputs**3
 
 
 @pytest.mark.parametrize(

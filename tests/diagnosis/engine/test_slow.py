@@ -9,7 +9,7 @@ from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
-from tests.diagnosis.engine.gauge import Gauge, candidate
+from tests.diagnosis.engine.gauge import Linear, candidate
 
 RATE_HZ, LENGTH_S, NOISE = 10.0, 12.0, 0.05
 GAIN, BIAS = "stage.gain.scale", "stage.zero.bias"
@@ -18,7 +18,7 @@ TRIALS = len(KINDS)
 
 
 @dataclass
-class _View(Gauge):
+class _View(Linear):
     """A gauge whose gain changes by `within` during every trial and by `over` from the first trial to the last.
 
     A change by `settling` has a time constant of 2 s in every trial.
@@ -30,22 +30,19 @@ class _View(Gauge):
     gain: float = 1.0
     hum: float = 0.0
     seed: int = 0
-    acts = frozenset({GAIN, BIAS})
 
     def __post_init__(self):
         t = self._stamp(TRIALS, RATE_HZ, LENGTH_S)
         shapes = {"sine": np.sin(2 * t), "square": np.sign(np.sin(t)), "decay": np.cos(3 * t) * np.exp(-t / 9)}
         shapes["both"] = shapes["sine"] + shapes["square"]
-        self.inputs = np.concatenate([shapes[kind] for kind in KINDS])
-        self.floor, self.features = np.array([NOISE]), {"input": self.inputs}
+        inputs = np.concatenate([shapes[kind] for kind in KINDS])
+        self.signals, self.nominal = {GAIN: inputs, BIAS: 1.0}, {GAIN: 1.0}
+        self.floor, self.features = np.array([NOISE]), {"input": inputs}
         noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
         slow = self.within * (self.t_s / LENGTH_S - 0.5) + self.over * (self.trial / (TRIALS - 1) - 0.5)
         slow += self.settling * (1 - np.exp(-self.t_s / 2.0))
         noise += self.hum * np.sin(17.3 * self.t_s)
-        self.measured = ((self.gain + slow) * self.inputs + noise)[:, None]
-
-    def _predict(self, point):
-        return point.get(GAIN, 1.0) * self.inputs + point.get(BIAS, 0.0)
+        self.measured = ((self.gain + slow) * inputs + noise)[:, None]
 
 
 def examined(thresholds=ROBOT, **view):

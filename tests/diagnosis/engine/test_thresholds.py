@@ -18,13 +18,13 @@ PAYLOAD = Candidate("arm.payload", "arm", (PARAMETER,), ((1.0,),))
 CONSTANT = replace(PAYLOAD, constant=True)
 
 
-def fit(*effects, scatter=0.0, drift=0.0, loss=0.0):
+def fit(*effects, scatter=0.0, drift=0.0):
     """Return a fit with the given scatter and drift of its effect's strength."""
     u = tuple((1.0,) for _ in effects)
     spread = scatter * np.sqrt(3 / 4)  # jackknife error of three folds
     folds = np.outer([1 - spread, 1.0, 1 + spread], np.ones(len(effects)))
     halves = np.outer([1 - drift / 2, 1 + drift / 2], np.ones(len(effects)))
-    return Fit(effects, u, np.zeros(0), 0.0, np.array([loss]), folds, np.concatenate((folds, halves)))
+    return Fit(effects, u, np.zeros(0), 0.0, np.zeros(1), folds, np.concatenate((folds, halves)))
 
 
 def choice(before, after, effect=None, explained=0.0, scatter=0.0, drift=0.0):

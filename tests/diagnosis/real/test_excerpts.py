@@ -5,22 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 from scipy.io import loadmat
 
-from softarm.cli.main import main
 from softarm.diagnosis.rigs import patch
 from softarm.schemas.verdict import Verdict
+from tests.cli.invoke import succeed
 
 HERE = Path(__file__).parent / "pendulum-free"
 # Dry friction in other parts of the recording.
 PUBLISHED_NM = (5.0e-4, 5.4e-4)
-
-
-def invoke(*arguments):
-    outcome = CliRunner().invoke(main, [*map(str, arguments)])
-    assert outcome.exit_code == 0, outcome.output
-    return outcome.output
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +21,7 @@ def written(tmp_path_factory):
     """Return the folder with verdict, report and patch of the excerpt."""
     folder = tmp_path_factory.mktemp("written")
     files = {"--json": "verdict.json", "--report": "report.html", "--patch": "whole.yaml"}
-    invoke("diagnose", HERE / "stage.yaml", *(word for key, name in files.items() for word in (key, folder / name)))
+    succeed("diagnose", HERE / "stage.yaml", *(word for key, name in files.items() for word in (key, folder / name)))
     return folder
 
 
@@ -60,9 +53,9 @@ def test_a_patched_pendulum_has_its_friction_and_is_not_missing_it_again(written
     assert alone == {"joint.coulomb_friction": effects["joint.coulomb_friction"]}
     assert effects["joint.coulomb_friction"]["torque"] == pytest.approx(verdict.effects[0].parameters["torque"].value)
     assert effects.keys() > alone.keys()
-    assert "valid" in invoke("check", whole, "--data", HERE)
+    assert "valid" in succeed("check", whole, "--data", HERE).output
     for patched in (whole, named):
-        invoke("diagnose", patched, "--data", HERE, "--json", tmp_path / "again.json")
+        succeed("diagnose", patched, "--data", HERE, "--json", tmp_path / "again.json")
         assert (again := verdict_of(tmp_path / "again.json")).verdict == "none", again.effects
 
 

@@ -87,10 +87,10 @@ class Made:
             data.xfrc_applied[i, :3] = drag + self.model.body_mass[i] * self.cubic * angle**2 * self.model.opt.gravity
 
 
-def tones(seed, n, size, fastest=2.0):
+def tones(seed, n, size):
     """Return a torque function with a few sines for each joint."""
     draw = np.random.default_rng(seed)
-    hertz = draw.uniform(0.2, fastest, (n, 4))
+    hertz = draw.uniform(0.2, 2.0, (n, 4))
     phase, part = draw.uniform(0, 2 * np.pi, (n, 4)), draw.uniform(0.5, 1.0, (n, 4))
     return lambda t: np.ravel(size) * np.sum(part * np.sin(2 * np.pi * hertz * t + phase), axis=1) / 2
 

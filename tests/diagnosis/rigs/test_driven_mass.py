@@ -140,9 +140,9 @@ def law(**numbers):
     return found
 
 
-def go(force, numbers, v=0.0, step=0.01, each=1, state=(0.0, 0.0, 0.0, 0.0)):
+def go(force, numbers, v=0.0, step=0.01, each=1):
     out = np.empty(len(force))
-    laws.travel(np.array([0.0, v]), np.array(state), np.repeat(force, each), numbers, step, each, False, out)
+    laws.travel(np.array([0.0, v]), np.zeros(4), np.repeat(force, each), numbers, step, each, False, out)
     return out
 
 

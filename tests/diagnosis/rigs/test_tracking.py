@@ -34,9 +34,9 @@ def commands(t=T):
     }
 
 
-def rig(command, truth, step_s=STEP_S):
+def rig(command, truth):
     """Simulate the readings of an actuator independently, in steps of a twentieth of a sample."""
-    h = step_s / FINE
+    h = STEP_S / FINE
     fine = np.repeat(command, FINE)
     late = round((truth.get("delay", 0.0) + truth.get("latency", 0.0)) / h)
     fine = np.concatenate((np.full(late, fine[0]), fine))[: len(fine)]
@@ -174,12 +174,12 @@ def test_a_rate_limit_acts_from_the_change_of_the_command(lag, late):
     assert np.nanmax(np.abs(gap)) < 1e-4
 
 
-def rubbed(command, lag, loss, fine=100):
+def rubbed(command, lag, loss):
     """Simulate a velocity loop with dry friction: lag dv/dt = command - v - loss."""
-    h, v, out = STEP_S / fine, 0.0, np.empty(len(command))
+    h, v, out = STEP_S / 100, 0.0, np.empty(len(command))
     for i, wanted in enumerate(command):
         out[i] = v
-        for _ in range(fine):
+        for _ in range(100):
             free = v + h * (wanted - v) / lag
             v = 0.0 if abs(free) <= h * loss / lag else free - math.copysign(h * loss / lag, free)
     return out

@@ -111,9 +111,7 @@ async def test_a_sample_that_is_too_long_is_counted_reported_and_never_parsed(
     assert source.malformed == 0
 
 
-async def test_samples_are_parsed_off_the_control_loops_thread(
-    bridge: Bridge, gather: Any, until: Any, monkeypatch: Any
-) -> None:
+async def test_samples_are_parsed_off_the_control_loops_thread(bridge: Bridge, gather: Any, monkeypatch: Any) -> None:
     threads: list[int] = []
 
     def spy(*arguments: Any) -> Any:

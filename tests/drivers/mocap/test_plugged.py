@@ -120,7 +120,7 @@ async def test_input_refused_by_a_source_is_counted_and_reported(played: Any, un
 
 
 async def test_a_source_that_raises_or_returns_is_reported_and_restarted(
-    played: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
+    played: Any, until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plugged, "RETRY_S", 0.01)
     again = threading.Event()

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from matplotlib.patches import Circle, FancyBboxPatch
 
 from softarm import policies
-from softarm.cli.learn.train import train
 from softarm.schemas import flights
 from softarm.schemas.flights import grid
 from softarm.schemas.model import Model
@@ -22,6 +20,7 @@ from softarm.training.record.checkpoint import TrainingConfig
 from softarm.training.run import recipe, report, retrain
 from softarm.training.run.session import Session
 from softarm.training.task.reach import ReachTask, ShelfTask
+from tests.cli.invoke import succeed
 
 pytestmark = pytest.mark.slow
 
@@ -50,9 +49,7 @@ def test_training_without_tensorboard_continues_with_one_message(tmp_path, monke
     monkeypatch.setattr(curve, "find_spec", lambda name: None)
     monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
     monkeypatch.setitem(recipe.RECIPES, "reach", recipe.RECIPES["reach"].model_copy(update={"frames": FRAMES}))
-    arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
-    result = CliRunner().invoke(train, arguments)
-    assert result.exit_code == 0, result.output
+    result = succeed("train", "reach", "--robots", 16, "--frames", FRAMES, "--out", tmp_path)
     assert " ".join(result.output.split()).count("pip install tensorboard") == 1
     assert "tensorboard --logdir" not in result.output
     assert not (tmp_path / "tensorboard").exists()
@@ -63,9 +60,7 @@ def test_training_without_tensorboard_continues_with_one_message(tmp_path, monke
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_a_training_that_is_too_short_says_so_and_is_not_evaluated(tmp_path, monkeypatch):
     monkeypatch.setattr(report, "fly_test_trials", lambda session: pytest.fail("evaluated"))
-    arguments = ["reach", "--robots", "16", "--minutes", "0.0001", "--out", str(tmp_path)]
-    result = CliRunner().invoke(train, arguments)
-    assert result.exit_code == 0, result.output
+    result = succeed("train", "reach", "--robots", 16, "--minutes", 0.0001, "--out", tmp_path)
     *_, short, following = result.stdout.splitlines()
     assert short.startswith("0.00 M frames in 0.0 min")
     assert short.endswith("reach.onnx: too short to matter, so not evaluated; the least are 0.50 M frames")

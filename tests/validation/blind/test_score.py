@@ -9,9 +9,9 @@ from validation.blind.imperfections import Cause
 from validation.blind.score import Scored, answer_set, calibration, coverage, score
 
 
-def case(kind, causes, *effects, stated="named", stage=None, shrink=None, removed=False):
+def case(kind, causes, *effects, stated="named", stage=None, shrink=None):
     answer = verdict(stated if effects or stated != "named" else "none", *effects, stage=stage)
-    return Scored("case", kind, tuple(Cause(name, removed, {}) for name in causes), answer, "", shrink)
+    return Scored("case", kind, tuple(Cause(name, False, {}) for name in causes), answer, "", shrink)
 
 
 def measures(*cases):

@@ -13,8 +13,8 @@ from validation.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
 HEALTHY = Truth({})
 
 
-def columns(robot, truth=HEALTHY, seconds=1.0, kind="multisine"):
-    return record(ROBOTS[robot], truth, kind, seconds, np.random.default_rng(0))
+def columns(robot, truth=HEALTHY, seconds=1.0):
+    return record(ROBOTS[robot], truth, "multisine", seconds, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

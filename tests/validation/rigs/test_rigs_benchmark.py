@@ -11,8 +11,8 @@ from validation.rigs.case import case_of
 from validation.rigs.score import WEAK, score
 
 
-def cause(names, tied=(), must=(), near=(), also=(), fault="x"):
-    return {"fault": fault, "settings": {}, "names": names, "tied": tied, "must": must, "near": near, "also": also}
+def cause(names, tied=(), must=(), near=(), also=()):
+    return {"fault": "x", "settings": {}, "names": names, "tied": tied, "must": must, "near": near, "also": also}
 
 
 def truth(*causes, category="single", clarity=20.0):

@@ -4,14 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
+from tests.cli.invoke import succeed
 from tests.diagnosis.rigs.recordings import described_model, noisy, rms, simulate, view_of_joint
 from tests.diagnosis.verdicts import with_parameters
 
@@ -42,12 +41,12 @@ def arm(**others):
     return ARM.replace("ACTUATORS", "".join(others.get(name, muscle(name)) for name in PEAKS_N))
 
 
-def waves(random, seconds, mean=0.1, most=0.12):
+def waves(random, seconds):
     """Return commands of an antagonistic pair at each joint, [T, 4]."""
     t, hertz = np.arange(int(100 * seconds)) / 100, random.uniform(0.15, 1.1, (2, 4))
     turns = random.uniform(0, 6, (2, 4))
-    pulls = most * np.clip(np.sin(2 * np.pi * hertz * t[:, None, None] + turns).sum(axis=2) / 2.2, -1, 1)
-    return np.clip(mean + np.stack((pulls, -pulls), axis=2).reshape(len(t), 4), 0, 1)
+    pulls = 0.12 * np.clip(np.sin(2 * np.pi * hertz * t[:, None, None] + turns).sum(axis=2) / 2.2, -1, 1)
+    return np.clip(0.1 + np.stack((pulls, -pulls), axis=2).reshape(len(t), 4), 0, 1)
 
 
 def recorded(folder, trials=1, seconds=8.0, late=0, **strengths):
@@ -136,9 +135,7 @@ def test_a_weak_muscle_and_a_late_command_explain_the_gap(tmp_path):
 def test_a_description_has_activations_without_a_unit(tmp_path):
     recorded(tmp_path)
     out = tmp_path / "new.yaml"
-    data = [str(tmp_path / name) for name in ("robot.xml", "run-0.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    succeed("new", "rig", tmp_path / "robot.xml", tmp_path / "run-0.csv", "--out", out)
     columns = yaml.safe_load(out.read_text())["channels"]["command"]["columns"]
     assert {name: use["unit"] for name, use in columns.items()} == dict.fromkeys(PEAKS_N, "-")
 
@@ -176,8 +173,7 @@ def test_a_command_of_a_muscle_alone_may_be_named_after_its_joint(tmp_path):
     run = tmp_path / "run.csv"
     run.write_text(run.read_text().replace(",biceps,", ",elbow_command,"))
     out = tmp_path / "new.yaml"
-    result = CliRunner().invoke(main, ["new", "rig", str(tmp_path / "robot.xml"), str(run), "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    succeed("new", "rig", tmp_path / "robot.xml", run, "--out", out)
     column = yaml.safe_load(out.read_text())["channels"]["command"]["columns"]["biceps"]
     assert column == {"source": "elbow_command", "unit": "-"}
 

@@ -22,8 +22,8 @@ def end(folder, joint, root):
     return robot.last_link(robot.joint(joint)).body
 
 
-def finger(name, kg=0.1):
-    return body(name, kg, body(f"{name} tip", 0.5 * kg))
+def finger(name):
+    return body(name, 0.1, body(f"{name} tip", 0.05))
 
 
 ARMS = [body(f"{side} shoulder", 2.0, body(f"{side} elbow", 1.0, body(f"{side} hand", 0.5))) for side in ("l", "r")]

@@ -4,15 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
 from softarm.diagnosis.rigs.mjcf.runtime import RuntimeEffects, Simulation
+from tests.cli.invoke import succeed
 from tests.diagnosis.rigs.recordings import described_model, noisy, rms, simulate, view_of_joint
 from tests.diagnosis.verdicts import with_parameters
 
@@ -118,9 +117,7 @@ def test_a_description_has_the_commands_of_both_and_neither_as_a_reading(tmp_pat
     run = tmp_path / "run-0.csv"
     run.write_text(run.read_text().replace(",near,far\n", ",near_position,far_position\n"))
     out = tmp_path / "new.yaml"
-    data = [str(tmp_path / name) for name in ("robot.xml", "run-0.csv")]
-    result = CliRunner().invoke(main, ["new", "rig", *data, "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    succeed("new", "rig", tmp_path / "robot.xml", run, "--out", out)
     channels = yaml.safe_load(out.read_text())["channels"]
     sources = {name: use["source"] for name, use in channels["measured"]["columns"].items()}
     assert sources == {"near": "near_position", "far": "far_position"}

@@ -29,8 +29,8 @@ FIXED = "".join(f'<joint joint="{joint}" coef="{ratio}"/>' for joint, ratio in R
 FIXED = f'<fixed name="flexor">{FIXED}</fixed>'
 
 
-def finger(actuator=LOOP, tendon=FIXED):
-    return FINGER.replace("TENDON", tendon).replace("ACTUATOR", actuator)
+def finger(actuator=LOOP):
+    return FINGER.replace("TENDON", FIXED).replace("ACTUATOR", actuator)
 
 
 def recorded(
