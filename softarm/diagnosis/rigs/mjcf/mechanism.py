@@ -4,7 +4,7 @@ import copy
 import re
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -225,7 +225,11 @@ class Mechanism:
 
     def points(self, joint: Joint, motion: Motion) -> Array:
         """Return points on the bodies along a motion, [T, G, P, 3], m; see `course` and `Shapes.points`."""
-        return Shapes(self._mujoco, self.model).points(self.course(joint, motion).centre.position)
+        return self._shapes.points(self.course(joint, motion).centre.position)
+
+    @cached_property
+    def _shapes(self) -> Shapes:
+        return Shapes(self._mujoco, self.model)
 
     def terms(self, joint: Joint, course: Course, longer: float = 0.0) -> Array:
         """Return the rigid-body terms of a joint along a measured motion, [law.ROWS, T].
