@@ -39,8 +39,8 @@ def sha256_of(path: Path, without: Path | None = None) -> str:
     if not path.is_dir():
         return hashlib.sha256(path.read_bytes()).hexdigest()
     inside = sorted(each for each in path.rglob("*") if each.is_file())
-    if without is not None:
-        inside = [each for each in inside if not each.resolve().is_relative_to(without.resolve())]
+    if without is not None and (apart := without.resolve()).is_relative_to(path.resolve()):
+        inside = [each for each in inside if not each.resolve().is_relative_to(apart)]
     lines = (f"{each.relative_to(path)} {sha256_of(each)}\n" for each in inside)
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
