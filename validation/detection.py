@@ -6,6 +6,7 @@ which 90 % of the answers are right. Healthy robots count the names that are giv
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from softarm.common import batch, files
 from softarm.common.batch import Kept, Work, Workers, workers_options
+from softarm.common.revision import code_version
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.verdict import Verdict
 from validation.blind import pages, run, seal
@@ -51,13 +53,19 @@ def weak(number: int, name: str, variant: Variant, draw: int, draws: int) -> tup
         value = 1 / value if first.how == "times" else -value
     robot, settings = given(robot, variant, [value, *(knob.draw(random) for knob in others)])
     cause = Cause(name, False, settings)
-    return with_trials(f"weak-{number:02d}-{draw:02d}", "single", [cause], robot, random), share
+    return _named(with_trials(f"weak-{number:02d}-{draw:02d}", "single", [cause], robot, random)), share
 
 
 def healthy(draw: int) -> Case:
     """Return a robot without a cause."""
     random = np.random.default_rng((_SEED, draw))
-    return with_trials(f"healthy-{draw:02d}", "none", [], draw_nuisances(RobotParameters(), random), random)
+    return _named(with_trials(f"healthy-{draw:02d}", "none", [], draw_nuisances(RobotParameters(), random), random))
+
+
+def _named(case: Case) -> Case:
+    """Return a case whose name also identifies its content, so that only recordings of equal cases are reused."""
+    digest = seal.sha256(f"{code_version('reality')}{case!r}")
+    return replace(case, name=f"{case.name}-{digest[:8]}")
 
 
 def right(case: Case, answer: Mapping[str, Any]) -> bool:

@@ -26,3 +26,10 @@ def test_every_weak_cause_is_within_its_shares_of_the_benchmarks_weakest():
             changed = {"set": first.weakened(share), "add": None, "times": None}[first.how]
             assert changed is None or value in (pytest.approx(changed), pytest.approx(-changed))
         assert [share for _, share in drawn] == sorted(share for _, share in drawn)
+
+
+def test_other_cases_have_other_names():
+    cause = next(causes())
+    names = [weak(0, *cause, 1, draws)[0].name for draws in (8, 6, 8)]
+    assert names[0] != names[1]
+    assert names[0] == names[2]
