@@ -92,7 +92,7 @@ CASES: dict[str, Callable[[Rig], None]] = {
 def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict[str, Any]:
     """Measure `repeats` trials of each case and return the figures by case; `report` receives the finished share.
 
-    Raises SoftwareInTheLoopError if the daemon does not drive.
+    Raises SoftwareInTheLoopError if the daemon does not drive, or the robot is not stopped and vented.
     """
     # Real devices do not wait for other programs.
     realtime.outrank_other_programs(Config().control.realtime_priority)
@@ -102,13 +102,13 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict
         for number, name in enumerate(cases):
             trials = []
             for repeat in range(repeats):
-                trials.append(_trial(rig, CASES[name], draw))
+                trials.append(_trial(rig, name, draw))
                 report((number + (repeat + 1) / repeats) / len(cases))
             figures[name] = _figures(trials)
     return figures
 
 
-def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str, float]:
+def _trial(rig: Rig, name: str, draw: random.Random) -> dict[str, float]:
     rig.drive(RECOVER_S)
     time.sleep(draw.uniform(*SWING_S))
     robot, speed_m_s = rig.robot, draw.uniform(SPEED_M_S, 0.95)
@@ -117,19 +117,22 @@ def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str
         time.sleep(0.001)
     seen: list[tuple[float, float, bool]] = []
     before, began_s, rig.seen = robot.state, time.monotonic(), seen
-    do(rig)
+    CASES[name](rig)
     deadline = time.monotonic() + REST_S
     while not _at_rest(state := robot.state) and time.monotonic() < deadline:
         time.sleep(SAMPLE_S)
     time.sleep(0.1)
     rig.seen = None
-    assert state.halted_after_s is not None, "the cart received no stop"
+    vented_s = next((at_s for at_s, _, valve_open in seen if valve_open), None)
+    if state.halted_after_s is None or vented_s is None:
+        missing = "the cart received no stop" if state.halted_after_s is None else "the valve did not open"
+        raise SoftwareInTheLoopError(f"{name}: {missing} within {REST_S:g} s")
     rig.go_on()
     places = [before.cart_position_m, *(place for _, place, _ in seen)]
     return {
         "speed_m_s": abs(before.cart_velocity_m_s),
         "stop_received_ms": state.halted_after_s * 1e3,
-        "vented_ms": 1e3 * (next(at_s for at_s, _, valve_open in seen if valve_open) - began_s),
+        "vented_ms": 1e3 * (vented_s - began_s),
         "travel_mm": 1e3 * max(abs(place - places[0]) for place in places),
         "farthest_mm": 1e3 * max(map(abs, places)),
         "crashes": state.crashes - before.crashes,
