@@ -85,12 +85,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for each in (robot, rig):
         each.add_argument("--made-by", default="", help="commands that made the cases, for the record")
     given = parser.parse_args(arguments)
-    if given.customer == "robot":
-        labels = seal.read_labels(given.labels)
-        seal.check_labels(labels, given.data)
-        answers = list(of_robot(labels, run.read_answers(given.answers)))
-    else:
-        answers = [each for folder in given.folders for each in of_rigs(folder)]
+    try:
+        if given.customer == "robot":
+            labels = seal.read_labels(given.labels)
+            seal.check_labels(labels, given.data)
+            answers = list(of_robot(labels, run.read_answers(given.answers)))
+        else:
+            answers = [each for folder in given.folders for each in of_rigs(folder)]
+    except seal.SealError as error:
+        raise SystemExit(f"error: {error}") from None
+    if not answers:
+        raise SystemExit("error: no answer names an effect with a margin; name answered cases (`run` answers them)")
     file = Path(confidence.__file__).with_name("confidence.json")
     table = json.loads(file.read_text(encoding="utf-8"))
     table[given.customer] = {"command": given.made_by, **curves(answers)}

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softarm.diagnosis.engine import confidence
 from softarm.diagnosis.engine.confidence import chance
 from validation.blind import seal
-from validation.confidence import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
+from validation.confidence import BIN_LEAST, MARGINS, curves, main, of_rigs, of_robot
 
 ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)
 
@@ -55,3 +56,14 @@ def test_one_of_several_inseparable_names_is_wrong_on_its_own(tmp_path, must, ri
         (tmp_path / folder / "a.json").write_text(json.dumps(content))
     (tmp_path / "truths" / "unanswered.json").write_text("{}")
     assert list(of_rigs(tmp_path)) == [("alone", 0.4, right)]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [(["rig", "nosuch"], "no answer"), (["robot", "cases", "--labels", "nosuch", "--answers", "a"], "cannot be read")],
+)
+def test_a_wrong_folder_leaves_the_shipped_chances_unchanged(tmp_path, monkeypatch, words, problem):
+    monkeypatch.setattr(confidence, "__file__", str(tmp_path / "confidence.py"))
+    with pytest.raises(SystemExit, match=f"error: .*{problem}"):
+        main(words)
+    assert not (tmp_path / "confidence.json").exists()
