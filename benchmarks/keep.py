@@ -31,6 +31,10 @@ def main(without: tuple[str, ...], name: str, command: tuple[str, ...]) -> None:
     Example:
       python -m benchmarks.keep --without targets grid-reach -- softarm evaluate reach
     """
+    try:
+        results.depends_on(name)
+    except KeyError:
+        raise click.ClickException(f"unknown result {name}: add it to DEPENDS in benchmarks/results.py") from None
     with TemporaryDirectory() as folder:
         written = Path(folder) / "figures.json"
         program = [*STARTED.get(command[0], [command[0]]), *command[1:]]
