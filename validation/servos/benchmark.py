@@ -103,9 +103,10 @@ def outcome(truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> str:
 def compare(folder: Path, python: Path, law: str) -> None:
     """Predict the held-out motion of every servo with one model of friction, and keep it in FOLDER/compared."""
     cases = {case.name: case for case in sorted((folder / "data").glob(f"*-{law}"))}
+    fit = sha256_of(Path(__file__).with_name("fit.py"))
     kept = Kept(
         lambda name: folder / "compared" / f"{name}.json",
-        lambda name: {"tool": seal.tool_version(), "data": sha256_of(cases[name])},
+        lambda name: {"tool": seal.tool_version(), "data": sha256_of(cases[name]), "fit": fit},
     )
     work = Work(partial(_compared, logs=folder / "logs", python=python))
     batch.run("comparing", work, cases, kept=kept).complete()
@@ -167,6 +168,8 @@ def score(folder: Path) -> dict[str, Any]:
     cases = [(truth, reply) for truth, reply in answered(folder) if reply is not None]
     if not cases:
         raise TrialError(f"{folder}: contains no answers; use `run` first")
+    if any(reply["tool"] != seal.tool_version() for _, reply in cases):
+        raise TrialError(f"{folder}: contains answers of another version; use `run` again")
     found: dict[str, Counter[str]] = {law: Counter() for law in EXPECTED}
     for truth, reply in cases:
         found[truth["law"]][outcome(truth, reply["verdict"]) if reply["verdict"] else "failed"] += 1

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from softarm.diagnosis.data.trials import TrialError
+from validation.blind import seal
 from validation.servos import benchmark
 
 
@@ -40,7 +41,7 @@ def test_a_score_holds_every_case_also_one_that_failed(tmp_path):
     for case, found in replies.items():
         for folder, content in (
             ("truths", {"case": case, "law": case[-2:]}),
-            ("answers", {"verdict": found, "seconds": 1.0}),
+            ("answers", {"verdict": found, "seconds": 1.0, "tool": seal.tool_version()}),
             ("compared", {"tool": "of the kept file", **{model: {"rms_rad": 0.1} for model in benchmark.MODELS}}),
         ):
             (tmp_path / folder).mkdir(exist_ok=True)
@@ -51,3 +52,6 @@ def test_a_score_holds_every_case_also_one_that_failed(tmp_path):
         "m2": {"failed": 1},
     }
     assert [list(each) for each in found["held_out"].values()] == [list(benchmark.MODELS)] * 2
+    (tmp_path / "answers" / "a-m1.json").write_text(json.dumps({"verdict": None, "seconds": 1.0, "tool": "older"}))
+    with pytest.raises(TrialError, match="contains answers of another version; use `run` again"):
+        benchmark.score(tmp_path)
