@@ -246,7 +246,11 @@ def main(check: bool) -> None:
     stale = 0
     for file in sorted(FOLDER.glob("*.json")):
         about = read(file.stem)["about"]
-        behind = age(about)
+        try:
+            behind = age(about)
+        except subprocess.CalledProcessError:
+            lacking = f"{file.name}: this checkout lacks revision {about['revision']}"
+            raise click.ClickException(f"{lacking}; run `git fetch --unshallow`") from None
         stale += behind > 0
         table.add_row(file.stem, about["date"][:10], about["revision"][:8], str(behind or "-"), about["command"])
     Console(width=None if sys.stdout.isatty() else 200).print(table)

@@ -4,6 +4,7 @@ import re
 import subprocess
 
 import pytest
+from click.testing import CliRunner
 
 from benchmarks import results, tables
 from tools import render
@@ -68,6 +69,14 @@ def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path, git):
     assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
     assert results.age({"revision": first, "depends": ["other.py"]}, tmp_path) == 1
     assert results.age({"revision": "HEAD", "depends": ["code.py", "other.py"]}, tmp_path) == 0
+
+
+def test_a_revision_that_a_shallow_clone_lacks_is_stated(monkeypatch):
+    about = {"revision": "0" * 40, "depends": ["benchmarks"], "date": "2026-01-01", "command": ""}
+    monkeypatch.setattr(results, "read", lambda name: {"about": about})
+    done = CliRunner().invoke(results.main)
+    assert done.exit_code == 1
+    assert "run `git fetch --unshallow`" in done.output
 
 
 def test_comments_docstrings_and_layout_are_no_change_of_the_code_but_a_value_is(tmp_path, git):
