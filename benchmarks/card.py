@@ -91,6 +91,8 @@ def main(json_file: Path | None) -> None:
     Example:
       python -m benchmarks.card --json card.json
     """
+    if not torch.cuda.is_available():
+        raise click.ClickException("PyTorch finds no graphics card; run this where `nvidia-smi` lists one")
     figures: dict[str, Any] = {"card": torch.cuda.get_device_name(), "cuda": torch.version.cuda}
     figures["difference"] = {name: differences(model) for name, model in MODELS.items()}
     figures["simulator_steps_per_s"] = {

@@ -238,8 +238,14 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 @click.command()
-@click.option("--ticks", default=100_000, show_default=True, help="Of robots, at least; whole worlds are flown.")
-@click.option("--seed", default=0, show_default=True)
+@click.option(
+    "--ticks",
+    default=100_000,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Of robots, at least; whole worlds are flown.",
+)
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0))
 @click.option("--through", type=click.Choice(["law", "tick"]), default="law", show_default=True)
 @workers_options()
 @click.option("--cost", "with_cost", is_flag=True, help="Instead: what the promise costs the shipped policies.")
