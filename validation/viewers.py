@@ -93,10 +93,14 @@ def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float) -> Iterato
     """Connect the viewers in another process; the connection returns their figures after `seconds`."""
     ours, theirs = multiprocessing.Pipe()
     with beside(run_async, _watching, daemon.url, viewers, seconds, theirs):
+        theirs.close()
         if not ours.poll(READY_S):
             raise SoftwareInTheLoopError(f"the viewers received no data within {READY_S:g} s")
-        ours.recv()
-        yield ours
+        try:
+            ours.recv()
+            yield ours
+        except EOFError:
+            raise SoftwareInTheLoopError("the process of the viewers ended early") from None
 
 
 @contextlib.contextmanager
