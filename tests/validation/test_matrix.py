@@ -1,11 +1,14 @@
 """Fault matrix: the judgement of cells finds unsafe outcomes and wrong causes, and nothing else."""
 
+import resource
+import subprocess
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from validation.matrix.cells import SAFE_S, Cell, Outcome, faults_of
-from validation.matrix.flight import fly_all
+from validation.matrix.flight import _wrong, fly_all
 
 SILENT = Cell("rail", "read", "time-out")
 SAFE = Outcome(stopped=True, braked_ms=300.0, vented_ms=400.0, farthest_m=0.2, causes=("rail_stale",))
@@ -39,6 +42,20 @@ def test_a_policy_that_stops_the_whole_daemon_may_cost_frames_but_is_named_first
     assert faults_of(freezing, replace(SAFE, causes=("rail_link_lost", "policy_fault"))) == [
         "wrong cause: rail_link_lost"
     ]
+
+
+@pytest.mark.parametrize("cell", [Cell("disk", "write", "full"), Cell("daemon", "process", "SIGSTOP")])
+def test_a_failure_while_a_fault_lasts_ends_the_fault(tmp_path, cell):
+    log = tmp_path / "log"
+    log.touch()
+    with subprocess.Popen(["sleep", "60"]) as process:
+        bench = SimpleNamespace(process=process, status=lambda: {"recorder": {"log": str(log)}})
+        before = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
+        with pytest.raises(OSError, match="as it was made to"), _wrong(bench, cell):
+            raise OSError("as it was made to")
+        assert resource.prlimit(process.pid, resource.RLIMIT_FSIZE) == before
+        process.terminate()
+        assert process.wait(10) == -15
 
 
 # Over 3 s: one cell flies with all processes in real time.

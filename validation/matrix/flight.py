@@ -168,14 +168,18 @@ def _wrong(bench: Bench, cell: Cell) -> Iterator[None]:
         before = resource.prlimit(daemon.pid, resource.RLIMIT_FSIZE)
         log = Path(bench.status()["recorder"]["log"])
         resource.prlimit(daemon.pid, resource.RLIMIT_FSIZE, (log.stat().st_size, before[1]))
-        yield
-        resource.prlimit(daemon.pid, resource.RLIMIT_FSIZE, before)
+        try:
+            yield
+        finally:
+            resource.prlimit(daemon.pid, resource.RLIMIT_FSIZE, before)
     elif cell.phase == "process":
         pid = daemon.pid if cell.who == "daemon" else bench.rail_process()
         os.kill(pid, signal.SIGKILL if cell.fault == "kill -9" else signal.SIGSTOP)
-        yield
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGCONT)
+        try:
+            yield
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
         if pid == daemon.pid and cell.fault == "kill -9":
             daemon.wait(EXIT_S)
     else:
