@@ -1,19 +1,18 @@
 """Command line of the soak test."""
 
-import shlex
-import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.console import FILE, FOLDER, Number, check_places, json_option, write, write_json
+from softarm.cli.shared.console import FOLDER, Number, check_places, json_option, write_json
 from softarm.cli.shared.errors import failing
-from softarm.common.processes import WorkerDied, bar
+from softarm.common.processes import bar
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from softarm.policies.base import PolicyError
-from validation.soak import lockstep, page
+from validation.soak import lockstep, page, realtime
 
 
 @click.command()
@@ -22,7 +21,6 @@ from validation.soak import lockstep, page
 @click.option("--seed", default=0, show_default=True, help="Seed of goals, faults and misbehaving clients.")
 @click.option("--policy", default="reach", show_default=True, shell_complete=policies, help="Policy in lockstep.")
 @json_option
-@click.option("--report", type=FILE, help="Write the curves as one HTML file.")
 @click.option("--allow-undecided", is_flag=True, help="Exit with 0 although the run was too short to decide on growth.")
 @click.option("--logs", type=FOLDER, help="Keep the recordings in this folder.")
 def main(
@@ -31,7 +29,6 @@ def main(
     seed: int,
     policy: str,
     json_file: Path | None,
-    report: Path | None,
     allow_undecided: bool,
     logs: Path | None,
 ) -> None:
@@ -44,23 +41,25 @@ def main(
 
     \b
     Examples:
-      python -m validation.soak --hours 1 --lockstep-days 3 --report soak.html --json soak.json
+      python -m validation.soak --hours 1 --lockstep-days 3 --json soak.json
       python -m validation.soak --hours 0 --lockstep-days 0.1
     """
     if not hours and not lockstep_days:
         raise click.UsageError("nothing to do: give --hours, --lockstep-days, or both")
-    check_places(json_file, report)
+    check_places(json_file)
+    real, stepped = None, None
     with tempfile.TemporaryDirectory(prefix="softarm-soak-") as folder:
         kept = Path(folder) if logs is None else logs
         with failing(OSError):
             kept.mkdir(parents=True, exist_ok=True)
         if any(kept.iterdir()):
             raise click.ClickException(f"--logs {kept}: is not empty, and its size is measured; name a new folder")
-        with failing(SoftwareInTheLoopError, PolicyError, WorkerDied), bar("soaking") as shown:
-            real, stepped = lockstep.soak_both(hours, lockstep_days, seed, policy, kept, shown.report)
+        with failing(SoftwareInTheLoopError, PolicyError), bar("soaking") as shown:
+            if lockstep_days:
+                stepped = lockstep.soak(lockstep_days, seed, policy, partial(shown.report, "in lockstep"))
+            if hours:
+                real = realtime.soak(hours, seed, kept, shown.report)
     write_json(json_file, page.figures(real, stepped))
-    if report is not None:
-        write(report, page.html(real, stepped, shlex.join(["python -m validation.soak", *sys.argv[1:]])))
     if problems := page.problems(real, stepped, with_undecided=not allow_undecided):
         raise click.ClickException("\n".join(problems))
     click.echo("no growth found and no unexpected event")

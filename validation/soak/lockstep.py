@@ -1,25 +1,20 @@
 """Soak test in lockstep: days of simulated time by the real control loop, as fast as one core allows."""
 
-import multiprocessing
 import os
 import random
 from collections import Counter
 from collections.abc import Callable
-from multiprocessing.connection import Connection
-from multiprocessing.sharedctypes import Synchronized
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from softarm.common.processes import WorkerDied
 from softarm.daemon.control.records import EStop, Mode, Outputs, Request
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.robot import CONTROL_RATE_HZ
-from validation.soak import growth, realtime
+from validation.soak import growth
 from validation.soak.clients import Unexpected
 from validation.soak.growth import Slope, slope
 
@@ -119,58 +114,3 @@ class _Flight:
     def _note(self, what: str) -> None:
         if len(self._unexpected) < UNEXPECTED_MAX:
             self._unexpected.append(Unexpected(self._ticks / CONTROL_RATE_HZ, what, None))
-
-
-POLL_S = 1.0
-
-
-def soak_both(
-    hours: float, days: float, seed: int, policy: str, logs: Path, on_progress: Callable[[str, float], None]
-) -> tuple[realtime.Soaked | None, Stepped | None]:
-    """Fly `hours` in real time and `days` of simulated time in lockstep; a result is None if its time is 0.
-
-    `seed` determines goals, faults and clients. `policy` flies in lockstep. `logs` is an empty folder.
-
-    Raises:
-        SoftwareInTheLoopError: Twin or daemon does not start.
-        PolicyError: The policy cannot be loaded.
-        WorkerDied: The process in lockstep ended early.
-    """
-    if not days:
-        return realtime.soak(hours, seed, logs, on_progress), None
-    if not hours:
-        return None, soak(days, seed, policy, lambda share: on_progress("in lockstep", share))
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    stepped_share = context.Value("d", 0.0)
-    stepping = context.Process(target=_step, args=(days, seed, policy, sender, stepped_share), daemon=True)
-    stepping.start()
-    sender.close()
-    try:
-        real = realtime.soak(hours, seed, logs, on_progress)
-        while not receiver.poll(POLL_S):
-            on_progress("in lockstep", stepped_share.value)
-        stepped = receiver.recv()
-    except EOFError:
-        stepping.join()
-        raise WorkerDied(
-            f"the soak in lockstep ended early (exit code {stepping.exitcode}; negative: a signal): see whether the "
-            "memory is full, then start again"
-        ) from None
-    finally:
-        stepping.kill()
-        stepping.join()
-    if isinstance(stepped, Exception):
-        raise stepped
-    return real, stepped
-
-
-def _step(days: float, seed: int, policy: str, sender: Connection, done: "Synchronized[float]") -> None:
-    def progress(share: float) -> None:
-        done.value = share
-
-    os.nice(19)
-    try:
-        sender.send(soak(days, seed, policy, progress))
-    except Exception as error:
-        sender.send(error)

@@ -1,18 +1,17 @@
 """Soak tests in lockstep and in real time: what is watched, what is reported, what the command ends with."""
 
 import json
-import os
-import signal
 
 import pytest
 from click.testing import CliRunner
 
-from softarm.common.processes import WorkerDied
+from softarm.daemon.control.failsafe import TABLE
+from softarm.drivers.twin.faults import Faults
 from softarm.policies.hold import Hold
 from softarm.policies.pid import Pid
 from validation.soak import lockstep, page, realtime
 from validation.soak.__main__ import main
-from validation.soak.clients import Unexpected
+from validation.soak.clients import FAULTS, Script
 
 DAYS = 0.5 / 24 / 60  # half a minute
 
@@ -20,10 +19,6 @@ DAYS = 0.5 / 24 / 60  # half a minute
 class Fails(Pid):
     def step(self, observation, goal):
         raise ValueError("as it was made to")
-
-
-def kill_itself(*_):
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +44,6 @@ def test_an_unrequested_stop_is_reported(monkeypatch):
     assert any("in lockstep: after" in line for line in page.problems(None, stepped))
 
 
-def test_a_stop_is_reported_with_its_log():
-    odd = [Unexpected(7.0, "stopped: for nothing", "logs/one.mcap")]
-    real = realtime.Soaked(1, 1.0, 0.8, [], {}, {"goals": 3}, odd, 0.2, 12.0)
-    assert page.problems(real, None) == ["in real time: after 7 s: stopped: for nothing (log: logs/one.mcap)"]
-
-
 def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     kept = tmp_path / "soak.json"
     short = ["--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
@@ -66,11 +55,42 @@ def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     assert CliRunner().invoke(main, ["--hours", "0"]).exit_code == 2
 
 
-def test_a_killed_process_in_lockstep_is_stated(monkeypatch, tmp_path):
-    monkeypatch.setattr(lockstep, "_step", kill_itself)
-    monkeypatch.setattr(realtime, "soak", lambda *_: None)
-    with pytest.raises(WorkerDied, match=r"ended early \(exit code -9"):
-        lockstep.soak_both(1.0, DAYS, 1, "pid", tmp_path, lambda what, share: None)
+NEVER = 1e9
+
+
+def status(mode="armed", goal="none", number=1, stop=None, estop="clear", refusals=()):
+    return {
+        "mode": mode,
+        "estop": estop,
+        "goal": {"state": goal, "number": number},
+        "last_stop": stop,
+        "arming_refusals": list(refusals),
+        "recorder": {"log": "logs/one.mcap"},
+    }
+
+
+def test_a_stop_without_a_fault_is_unexpected_and_its_log_is_named():
+    calm = Script(0, fault_every_s=NEVER, change_every_s=NEVER)
+    calm.acts(status("armed", "running"), 1.0)
+    calm.acts(status("disarmed", stop=f"{TABLE['ticks_missed'].meaning} (7 ms)"), 1.1)
+    (one,) = calm.unexpected
+    assert (one.time_s, one.log) == (1.1, "logs/one.mcap")
+    assert one.what.startswith("stopped: the control loop fell behind")
+    assert calm.counts["stop: ticks_missed"] == 1
+
+
+def test_the_twin_has_every_fault_of_the_script():
+    faults = Faults(lambda: 0)
+    script = Script(3, fault_every_s=0.1, change_every_s=NEVER)
+    given = [act.path for n in range(300) for act in script.acts(status(), 0.1 * n) if act.kind == "fault"]
+    for fault in given:
+        faults.apply(fault.encode())
+    assert {json.loads(fault)["fault"] for fault in given} == FAULTS.keys()
+
+
+def test_faults_name_existing_events():
+    for _, _, beginnings in FAULTS.values():
+        assert all(any(name.startswith(begins) for name in TABLE) for begins in beginnings)
 
 
 @pytest.mark.prove
