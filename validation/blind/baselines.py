@@ -13,7 +13,7 @@ from softarm.diagnosis.engine.candidates import split
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.engine.search import EFFECTS_MAX, Search
+from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import robot_views
@@ -31,23 +31,6 @@ def largest_gain(trials: Sequence[Trial], model: Model) -> Diagnosis:
     null_model = search.problem.fit([((), ())])[0]
     best = min(search.extended(null_model), key=lambda f: f.loss)
     return _named(best if best.loss < (1 - GAIN_MIN) * null_model.loss else null_model, model)
-
-
-def bic(trials: Sequence[Trial], model: Model) -> Diagnosis:
-    """Return the effects of a forward selection by BIC, with every sample taken as independent."""
-    search = _search(trials, model)
-    samples = sum(residual.kept for residual in search.problem.whitened)
-    chosen = search.problem.fit([((), ())])[0]
-
-    def criterion(fit: Fit) -> float:
-        return float(samples * np.log(fit.loss) + np.log(samples) * len(fit.x))
-
-    while len(chosen.effects) < EFFECTS_MAX:
-        best = min(search.extended(chosen), key=criterion)
-        if criterion(best) >= criterion(chosen):
-            break
-        chosen = best
-    return _named(chosen, model)
 
 
 def all_at_once(trials: Sequence[Trial], model: Model) -> Diagnosis:

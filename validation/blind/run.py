@@ -28,7 +28,6 @@ Method = Callable[[Sequence[Trial], Model], Diagnosis]
 METHODS: dict[str, Method] = {
     "diagnose": diagnose,
     "largest-gain": baselines.largest_gain,  # the effect that explains most
-    "bic": baselines.bic,  # forward selection by BIC
     "all-at-once": baselines.all_at_once,  # all effects fitted, ranked by value over interval
 }
 
