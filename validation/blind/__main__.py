@@ -4,13 +4,14 @@ from pathlib import Path
 
 import click
 
+from benchmarks import results
 from softarm.cli.shared.console import FILE, FOLDER
 from softarm.cli.shared.errors import failing
 from softarm.common.batch import JobsFailed, Workers, workers_options
 from softarm.common.cluster import ClusterError
 from softarm.common.processes import bar
 from validation.blind import make as making
-from validation.blind import opening
+from validation.blind import opening, pages
 from validation.blind import run as running
 from validation.blind.seal import SealError
 
@@ -27,7 +28,7 @@ def main() -> None:
       python -m validation.blind make cases --labels sealed/labels.json --fresh sealed/fresh
       python -m validation.blind run cases --answers answers.json
       python -m validation.blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
-        --answers answers.json --out score
+        --answers answers.json --json blind.json
     """
 
 
@@ -72,13 +73,18 @@ def run(data: Path, answers_file: Path, method: str, workers: Workers) -> None:
     "--answers", "answer_files", type=FILE, multiple=True, required=True, help="Frozen answers; one file per method."
 )
 @click.option("--fresh", type=FOLDER, help="Folder of the fresh trials; without it the shrink is not checked.")
-@click.option("--out", type=FOLDER, required=True, help="Folder for score.json, score.md and the pictures.")
+@results.json_option
 @failing(*REFUSALS)
-def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, out: Path) -> None:
+def open_(
+    data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, json_file: Path | None
+) -> None:
     """Score frozen answers against the labels; refuse files that changed after sealing."""
     with bar("opening", total=None) as shown:
-        opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
-    click.echo((out / "score.md").read_text(encoding="utf-8"))
+        found = opening.open_labels(data, labels_file, answer_files, fresh, on_case=shown.count)
+    results.report("blind-methods", found, json_file)
+    if "diagnose" in found["methods"]:
+        results.report("blind", found, None)
+    click.echo("\n".join(pages.wrong_answers(found["methods"])))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Scoring of frozen answers: check the seals, measure on fresh trials, score and write the results."""
+"""Scoring of frozen answers: check the seals, measure on fresh trials and score."""
 
 import json
 import statistics
@@ -11,7 +11,7 @@ from softarm.diagnosis.data import read
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
-from validation.blind import pages, run, seal
+from validation.blind import run, seal
 from validation.blind.imperfections import Cause
 from validation.blind.score import Scored, score
 from validation.blind.shrink import measure_shrink
@@ -24,15 +24,13 @@ def open_labels(
     data: Path,
     labels_file: Path,
     answer_files: Sequence[Path],
-    out: Path,
     fresh: Path | None = None,
     on_case: OnCase = lambda case, done, of: None,
 ) -> dict[str, Any]:
-    """Score each file of answers and write `score.json`, `score.md` and `reliability-METHOD.png` to `out`.
+    """Return the figures of each file of answers, by method.
 
-    Returns the content of score.json. Without a folder of `fresh` trials the shrink is not measured. Raises SealError
-    if answers changed after they were frozen, lack a case or belong to other data, or the labels differ from the
-    commitment.
+    Without a folder of `fresh` trials the shrink is not measured. Raises SealError if answers changed after they were
+    frozen, lack a case or belong to other data, or the labels differ from the commitment.
     """
     frozen = {file: (seal.check_frozen(file), run.read_answers(file)) for file in answer_files}
     labels = seal.read_labels(labels_file)
@@ -54,13 +52,7 @@ def open_labels(
             "seconds_worst": max(seconds.values(), default=None),
             **score(cases),
         }
-    result = {"labels": seal.commitment(labels)["all"], "methods": methods}
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "score.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    (out / "score.md").write_text(pages.markdown(result), encoding="utf-8")
-    for name, scored in methods.items():
-        pages.reliability(scored["calibration"], name, out / f"reliability-{name}.png")
-    return result
+    return {"labels": seal.commitment(labels)["all"], "methods": methods}
 
 
 def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels, data: Path) -> None:

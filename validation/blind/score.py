@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
 
-from softarm.common.shares import Share, share
+from softarm.common.shares import share
 from softarm.schemas.verdict import Interval, NamedEffect, Verdict
 from validation.blind.imperfections import SAME_SIZE, Cause
 
@@ -111,20 +111,10 @@ def score(cases: Sequence[Scored]) -> dict[str, Any]:
         "measures": {
             name: share(hit(case) for case in cases if case.kind in kinds) for name, (kinds, hit) in MEASURES.items()
         },
-        "by_cause": by_cause(cases),
         "calibration": calibration(cases),
         "coverage": coverage(cases),
         "wrong": [wrong(case) for case in cases if not case.right],
     }
-
-
-def by_cause(cases: Sequence[Scored]) -> dict[str, Share]:
-    """Return the share of right answers for each single cause; ' (removed)' marks those removed from the model file."""
-    hits: dict[str, list[bool]] = {}
-    for case in cases:
-        if case.kind in (*ALONE, "unknown"):
-            hits.setdefault(_shown(case.causes[0]), []).append(case.right)
-    return {name: share(hits[name]) for name in sorted(hits)}
 
 
 def calibration(cases: Sequence[Scored]) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
 
     monkeypatch.setattr(opening, "measure_shrink", measure)
     labels = tmp_path / "sealed" / "labels.json"
-    result = opening.open_labels(data, labels, [file], tmp_path / "out", fresh)
+    result = opening.open_labels(data, labels, [file], fresh)
     assert [added for _, added in asked] == [["pressure.gain"]] * 3
     assert all(fresh in source.parents for source, _ in asked)
     measures = result["methods"]["diagnose"]["measures"]
@@ -108,9 +108,6 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
     assert measures["none, given a name"]["share"] == measures["unknown, given a name"]["share"] == 1.0
     assert result["methods"]["diagnose"]["coverage"]["stage"]["of"] == 3
     assert {wrong["case"] for wrong in result["methods"]["diagnose"]["wrong"]} == {"case-b", "case-c"}
-    assert json.loads((tmp_path / "out" / "score.json").read_text()) == result
-    assert "case-c | unknown.cable | named | pressure.gain (0.80)" in (tmp_path / "out" / "score.md").read_text()
-    assert (tmp_path / "out" / "reliability-diagnose.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("broken", ["answers", "labels", "data", "incomplete", "twice"])
@@ -138,8 +135,7 @@ def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
         shutil.copy(tmp_path / "answers.json.sha256", tmp_path / "copy.json.sha256")
         expected = "one file for each method"
     with pytest.raises(seal.SealError, match=expected):
-        opening.open_labels(data, labels, files, tmp_path / "out", None)
-    assert not (tmp_path / "out").exists()
+        opening.open_labels(data, labels, files)
 
 
 def invoke(*words):
@@ -150,10 +146,12 @@ def test_the_commands_run_and_open_work(data, tmp_path):
     outcome = invoke("run", data, "--answers", tmp_path / "a.json", "--workers", 1)
     assert outcome.exit_code == 0, outcome.output
     assert "frozen as" in outcome.output
-    opened = ("open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels")
+    opened = ("open", data, "--answers", tmp_path / "a.json", "--json", tmp_path / "b.json", "--labels")
     outcome = invoke(*opened, tmp_path / "sealed" / "labels.json")
     assert outcome.exit_code == 0, outcome.output
-    assert "single, exact | 100%" in outcome.output
+    assert "| a single effect named exactly | 100 % (1 of 1) |" in outcome.output
+    assert "case-c | unknown.cable | named | pressure.gain (0.80)" in outcome.output
+    assert json.loads((tmp_path / "b.json").read_text())["methods"]["diagnose"]["cases"] == 3
     outcome = invoke(*opened, tmp_path / "none.json")
     assert outcome.exit_code == 1
     assert "python -m validation.blind make" in outcome.output
