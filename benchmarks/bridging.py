@@ -242,24 +242,9 @@ def fit() -> TipModel:
 @click.command()
 @click.option("--fit", "fitting", is_flag=True, help="Print the model's numbers, fitted to the simulator, and end.")
 @click.option("--body", "bodies", multiple=True, default=BODIES, show_default=True, help="Again for more.")
-@click.option(
-    "--dropout",
-    "dropouts_ms",
-    type=int,
-    multiple=True,
-    default=DROPOUT_MS,
-    show_default=True,
-    help="Duration of a dropout, ms; may be repeated.",
-)
 @workers_options()
 @results.json_option
-def main(
-    fitting: bool,
-    bodies: Sequence[str],
-    dropouts_ms: Sequence[int],
-    workers: Workers,
-    json_file: Path | None,
-) -> None:
+def main(fitting: bool, bodies: Sequence[str], workers: Workers, json_file: Path | None) -> None:
     """Print the results of flights with dropouts for each reaction, and the errors of the estimated tip.
 
     \b
@@ -270,7 +255,7 @@ def main(
         for name, number in fit()._asdict().items():
             click.echo(f"{name}: {number:.4g}")
         return
-    todo = [Job("reach", body, ms, way) for body in bodies for ms in dropouts_ms for way in WAYS]
+    todo = [Job("reach", body, ms, way) for body in bodies for ms in DROPOUT_MS for way in WAYS]
     found = batch.run("flying", fly, {str(job): job for job in todo}, workers).complete()
     flights = [job._asdict() | found[str(job)] for job in todo]
     figures = {"flights": flights, "tip_rms_m": {body: errors(body) for body in bodies}}

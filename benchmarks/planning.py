@@ -1,7 +1,7 @@
 """Time and success of `softarm dev plan` beside CasADi with IPOPT on the same problem.
 
     pip install casadi
-    python -m benchmarks.planning --every 3 --json FILE
+    python -m benchmarks.planning --json FILE
 
 CasADi plans by direct transcription: the equations of motion of the arm are constraints at the middle of intervals of
 1 / 60 s. The cart is a mass with limits on position, velocity and acceleration, the muscle a first-order lag. Both
@@ -141,16 +141,15 @@ def closest_m(commands: Array, target_m: Array) -> float:
 
 
 @click.command()
-@click.option("--every", type=click.IntRange(1), default=1, show_default=True, help="Plan for every Nth target only.")
 @results.json_option
-def main(every: int, json_file: Path | None) -> None:
+def main(json_file: Path | None) -> None:
     """Plan from the middle of the rail with both, fly the plans, and print processor time and success.
 
     \b
     Example:
-      python -m benchmarks.planning --every 3
+      python -m benchmarks.planning --json planning.json
     """
-    targets = np.array([(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)[::every]
+    targets = np.array([(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
     planner.plan(targets[:1])  # compiles
     start = time.process_time()
     ours = planner.plan(targets)

@@ -24,6 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.tables import TABLES
 from softarm.common import files
 from softarm.common.processes import cores
 from softarm.common.revision import CHECKOUT, machine, revision
@@ -157,9 +158,6 @@ def write(file: Path | None, figures: Mapping[str, Any], command: str | None = N
 def report(table: str, figures: Mapping[str, Any], file: Path | None) -> None:
     """Print figures as a table of benchmarks/tables.py that needs no other result, and write them as `write` does."""
     write(file, figures)
-    # Imports most of softarm, which the program of the mutants must not.
-    from benchmarks.tables import TABLES
-
     click.echo(TABLES[table](lambda _: figures))
 
 

@@ -35,6 +35,7 @@ from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
 ROBOTS = 4096
+ROUNDS = 9
 # Repeats of a command: a flight of 16 ms right after MuJoCo's rollout had one core's speed.
 FLIGHTS, MUJOCO_STEPS = 6, 1
 BATCHES = (1, 8, 128, 1024, 4096, 16384)
@@ -49,16 +50,12 @@ MODEL = Model(
 )
 
 
-def run(quick: bool = False) -> dict[str, Any]:
-    """Measure both simulators, the cost of effects and the scaling.
-
-    Args:
-        quick: Use fewer command sets and rounds; the figures then scatter.
-    """
+def run() -> dict[str, Any]:
+    """Measure both simulators, the cost of effects and the scaling."""
     threads = cores()
     load_before = os.getloadavg()[0]
     with bar("tip errors", total=None) as shown:
-        sets = _command_sets(4 if quick else 16)
+        sets = _command_sets(16)
         reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, threads, mujoco.mjtIntegrator.mjINT_RK4)
         ours = _error_mm(_our_tips(*sets), reference)
         for substeps in CANDIDATES:
@@ -69,15 +66,14 @@ def run(quick: bool = False) -> dict[str, Any]:
             raise RuntimeError(
                 f"MuJoCo's error stays above {ours['mean']:.3f} mm even at {30 * substeps} Hz; add finer CANDIDATES"
             )
-        rounds = 3 if quick else 9
-        shown.show(total=rounds, text="speed")
+        shown.show(total=ROUNDS, text="speed")
         speeds = []
         race = _Race(substeps, threads)
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             speeds.append((race.ours(), race.mujoco()))
             shown.advance()
         shown.show(text="scaling")
-        more = _scaling(rounds)
+        more = _scaling()
     ours_of, mujoco_of = (np.median(side, axis=0).tolist() for side in zip(*speeds, strict=True))
     return {
         "control_steps_per_s": ours_of[0],
@@ -93,7 +89,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         "mujoco_version": mujoco.__version__,
         "robots": ROBOTS,
         "cores": threads,
-        "rounds": rounds,
+        "rounds": ROUNDS,
         **more,
         "load_average": {"before": load_before, "after": os.getloadavg()[0]},
     }
@@ -178,20 +174,20 @@ class _Flight:
             for _ in range(FLIGHTS):
                 self._simulator.step(v, p, CONTROL_PERIOD_S)
 
-    def median_speed(self, rounds: int) -> float:
-        return statistics.median(self.speed()[0] for _ in range(rounds))
+    def median_speed(self) -> float:
+        return statistics.median(self.speed()[0] for _ in range(ROUNDS))
 
 
-def _scaling(rounds: int) -> dict[str, Any]:
+def _scaling() -> dict[str, Any]:
     """Return the cost of all effects at their exemplars, and control steps/s by cores and by batch."""
     every = {effect.name: {p.name: p.exemplar for p in effect.parameters} for effect in REGISTRY.values()}
     seed, full = _Flight(None, ROBOTS), _Flight(Model(effects=every), ROBOTS)
-    seed_speed, full_speed = (statistics.median(each.speed()[1] for _ in range(rounds)) for each in (seed, full))
+    seed_speed, full_speed = (statistics.median(each.speed()[1] for _ in range(ROUNDS)) for each in (seed, full))
     by_cores = {}
     threads = numba.get_num_threads()
     for number in range(1, cores() + 1):
         numba.set_num_threads(number)
-        by_cores[str(number)] = seed.median_speed(rounds)
+        by_cores[str(number)] = seed.median_speed()
     numba.set_num_threads(threads)
     return {
         "effects": {
@@ -201,7 +197,7 @@ def _scaling(rounds: int) -> dict[str, Any]:
         },
         "scaling": {
             "cores": by_cores,
-            "batch": {str(robots): _Flight(None, robots).median_speed(rounds) for robots in BATCHES},
+            "batch": {str(robots): _Flight(None, robots).median_speed() for robots in BATCHES},
         },
     }
 
@@ -231,15 +227,14 @@ class _Race:
 
 @click.command()
 @results.json_option
-@click.option("--quick", is_flag=True, help="A few seconds, to see that it runs; the figures are rough.")
-def main(json_file: Path | None, quick: bool) -> None:
+def main(json_file: Path | None) -> None:
     """Compare control steps per second with MuJoCo's rollout at equal accuracy, in one run.
 
     \b
     Example:
       python -m benchmarks.simulator --json simulator.json
     """
-    result = run(quick)
+    result = run()
     results.report("simulator", result, json_file)
     for name in ("effects", "scaling"):
         click.echo(f"{name}: {json.dumps(result[name])}")

@@ -8,11 +8,9 @@ exception, no hang, no crash of the process. A parser and a number identify a ca
 """
 
 import time
-from pathlib import Path
 
 import click
 
-from benchmarks import results
 from softarm.common.processes import bar
 from validation.fuzz.parsers import PARSERS
 from validation.fuzz.trials import Fuzzed, draw, fuzz, made
@@ -25,13 +23,12 @@ from validation.fuzz.trials import Fuzzed, draw, fuzz, made
 @click.option("--only", multiple=True, type=click.Choice(list(PARSERS)), help="Only this parser; may be repeated.")
 @click.option("--first", default=0, show_default=True, help="Number of the first case, to continue an earlier run.")
 @click.option("--case", type=int, help="With one --only: run only this case, in this process, with its traceback.")
-@results.json_option
-def main(minutes: float, only: tuple[str, ...], first: int, case: int | None, json_file: Path | None) -> None:
+def main(minutes: float, only: tuple[str, ...], first: int, case: int | None) -> None:
     """Feed every parser with invalid examples; exit with 1 if one breaks its promise.
 
     \b
     Example:
-      python -m validation.fuzz --minutes 60 --json fuzz.json
+      python -m validation.fuzz --minutes 60
     """
     if case is not None:
         if len(only) != 1:
@@ -49,8 +46,6 @@ def main(minutes: float, only: tuple[str, ...], first: int, case: int | None, js
             for so_far in fuzz(name, share_s, first):
                 found[name] = so_far
                 shown.show(number * share_s + time.monotonic() - begun_s, text=name)
-    as_json = {name: {"cases": of.cases, "findings": [f._asdict() for f in of.findings]} for name, of in found.items()}
-    results.write(json_file, {"parsers": as_json})
     for name, each in found.items():
         click.echo(f"{name:20} {each.cases:10,} cases, {len(each.findings)} findings")
     findings = [finding for each in found.values() for finding in each.findings]

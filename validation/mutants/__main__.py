@@ -18,7 +18,6 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
 
-from benchmarks import results
 from softarm.common import yaml_lines
 from softarm.common.processes import bar, cores
 from validation.mutants.operators import Key, Mutant, mutants
@@ -95,13 +94,12 @@ def prove(target: Target, jobs: int, sample: int | None = None, seed: int = 0) -
 @click.option("--sample", type=click.IntRange(1), help="Try so many mutants of each module, drawn by the seed.")
 @click.option("--seed", default=0, show_default=True, help="Of the sample.")
 @click.option("--jobs", default=cores(), show_default=True, type=click.IntRange(1), help="Mutants tried at once.")
-@results.json_option
-def main(modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, json_file: Path | None) -> None:
+def main(modules: tuple[str, ...], sample: int | None, seed: int, jobs: int) -> None:
     """Print a row per module, and every survivor without an explanation.
 
     \b
     Example:
-      python -m validation.mutants --module daemon/control/goals.py --json mutants.json
+      python -m validation.mutants --module daemon/control/goals.py
     """
     found = {}
     with bar("mutants", len(modules)) as shown:
@@ -121,8 +119,6 @@ def main(modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, jso
             click.echo(f"\n# No test notices; explained.yaml would say why none needs to:\n{module}:")
         for mutant in each.unexplained:
             click.echo(as_entry(mutant))
-    figures = {module: {**each.figures, "tests": TARGETS[module].tests} for module, each in found.items()}
-    results.write(json_file, {"modules": figures})
     raise SystemExit(any(each.unexplained or each.stale for each in found.values()))
 
 
