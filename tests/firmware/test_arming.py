@@ -9,18 +9,16 @@ from typing import Any
 
 import pytest
 
-from softarm.daemon.control.records import EStop, Inputs, Mode, Request
-from softarm.daemon.tick import Controller
+from softarm.daemon.control.records import EStop, Mode
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState, next_controlword
 from softarm.drivers.regulator.driver import Conversation, reading_of
 from softarm.drivers.twin.dryve import DryveDevice
 from softarm.policies.hold import Hold
-from softarm.policies.runner import InlineRunner
-from softarm.schemas.config import Config, DryveRail, SerialRegulator
-from softarm.schemas.messages import MocapFrame, Pose, RailReading
+from softarm.schemas.config import DryveRail, SerialRegulator
+from softarm.schemas.messages import RailReading
+from tests.daemon.rig import PERIOD_NS, Rig
 
-PERIOD_NS = 33_333_333
 LOOK_NS = 1_000_000
 
 
@@ -32,8 +30,8 @@ class Bench:
         self.drive = DryveDevice(DryveRail())
         self.drive.keeps_going = True
         self.talk = Conversation(SerialRegulator().time_to_live_s)
-        self.controller = Controller(Config(), InlineRunner(Hold()))
-        self.now_ns, self.frames, self.requests, self.ticks = 0, 0, 0, 0
+        self.rig = Rig(Hold())
+        self.now_ns = 0
         self.linked, self.button = True, False
         self.pressure: Any = None
         self.rail: RailReading | None = None
@@ -43,15 +41,6 @@ class Bench:
 
     def _drive_to(self, entry: dryve.Entry, value: int) -> None:
         self.drive.answer(dryve.encode_request(1, entry, value), self.now_ns)
-
-    def _frames(self) -> tuple[MocapFrame, ...]:
-        made = []
-        for back in (24, 16, 8, 0):
-            self.frames += 1
-            tip = Pose(1e-5 * (self.frames % 2), 0.52, 0.0)
-            bodies = (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
-            made.append(MocapFrame(self.frames, self.now_ns - back * 1_000_000, self.now_ns, bodies))
-        return tuple(made)
 
     def pass_time(self, nanoseconds: int) -> None:
         """Advance board and drive."""
@@ -64,16 +53,10 @@ class Bench:
 
     def tick(self, *kinds: str) -> Any:
         self.pass_time(PERIOD_NS)
-        self.ticks += 1
-        requests = []
-        for kind in kinds:
-            self.requests += 1
-            requests.append(Request(self.requests, kind))  # type: ignore[arg-type]
         if self.linked:
             self.rail = RailReading(self.now_ns, 0.0, 0.0, self.drive.in_operation, self.drive.remote)
-        self.outputs = self.controller.tick(
-            Inputs(self.now_ns, mocap=self._frames(), pressure=self.pressure, rail=self.rail, requests=tuple(requests))
-        )
+        self.rig.now = self.now_ns - PERIOD_NS
+        self.outputs = self.rig.tick(*kinds, pressure=self.pressure, rail=self.rail)
         sent = self.outputs.sent
         line = self.talk.greeting(self.now_ns) or self.talk.command(sent.enable, sent.pressure_kpa, self.now_ns)
         state = self.talk.receive(self.board.receive(line, self.now_ns, 0.0))
@@ -93,13 +76,10 @@ class Bench:
         for _ in range(math.ceil(seconds * 30)):
             self.tick()
 
-    def reasons(self) -> str:
-        return " ".join(self.outputs.results[-1].reasons)
-
     def armed(self) -> "Bench":
         self.ticks_for(1.5)
         self.tick("arm")
-        assert self.outputs.results[-1].accepted, self.reasons()
+        assert self.outputs.results[-1].accepted, self.rig.reasons()
         self.ticks_for(0.3)
         assert self.outputs.mode is Mode.ARMED
         assert self.drive.in_operation
@@ -138,7 +118,7 @@ def test_an_emergency_stop_reaches_the_drive_without_its_cable(bench: Bench) -> 
     bench.linked = True
     bench.ticks_for(0.5)
     bench.tick("acknowledge")
-    assert "enable input (DI7) is low" in bench.reasons()
+    assert "enable input (DI7) is low" in bench.rig.reasons()
     bench.ticks_for(0.7)
     bench.tick("acknowledge")
     assert bench.outputs.estop is EStop.CLEAR
@@ -170,7 +150,7 @@ def test_arming_within_the_second_is_refused_with_the_reason(bench: Bench) -> No
     while bench.outputs.mode is not Mode.DISARMED:
         bench.tick()
     bench.tick("arm")
-    assert "enable input (DI7) is low" in bench.reasons()
+    assert "enable input (DI7) is low" in bench.rig.reasons()
     assert bench.outputs.estop is EStop.CLEAR
     bench.armed()
 
