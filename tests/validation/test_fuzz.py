@@ -25,11 +25,3 @@ def test_a_parser_keeps_its_promise(name, monkeypatch):
 def test_a_broken_promise_is_a_finding(monkeypatch):
     monkeypatch.setitem(PARSERS, "planted", lambda: Parser(lambda random: 0, lambda case: {}["missing"], (ValueError,)))
     assert "KeyError: 'missing'" in try_case("planted", 0).what
-
-
-def test_a_case_that_python_cannot_make_is_left_out(monkeypatch):
-    def deep(random):
-        return deep(random)
-
-    monkeypatch.setitem(PARSERS, "deep", lambda: Parser(deep, lambda case: None, ()))
-    assert try_case("deep", 0) is None

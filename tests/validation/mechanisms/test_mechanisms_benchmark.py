@@ -1,7 +1,5 @@
 """Scores of the mechanisms' benchmark."""
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -81,24 +79,9 @@ def test_the_true_tilt_is_the_angle_that_a_diagnosis_names():
     assert robot.model.opt.gravity + named == pytest.approx(turned, abs=0.05)
 
 
-@pytest.mark.parametrize("count", [1, 2, 10, 20, 24, 60, 64])
-def test_every_number_of_cases_keeps_the_shares_of_the_categories(count):
-    drawn = Counter(benchmark.categories(count, np.random.default_rng(0)))
-    assert drawn.total() == count
-    assert all(abs(drawn[name] - share * count) < 1 for name, share in benchmark.SHARES.items())
-
-
 def test_a_folder_keeps_cases_of_one_drawing(tmp_path):
     folder = tmp_path / "truths"
     folder.mkdir()
     (folder / "mechanism-5-000.json").write_text('{"category": "whole"}')
     with pytest.raises(SystemExit, match=r"mechanism-5-000.json: belongs to other cases"):
         benchmark.main(["make", str(tmp_path), "--cases", "1", "--seed", "5", "--category", "none"])
-
-
-def test_all_cases_may_be_of_one_category(tmp_path, monkeypatch, capsys):
-    drawn = []
-    monkeypatch.setattr(benchmark, "draw_and_write", lambda *case: drawn.append(case[1:]))
-    benchmark.main(["make", str(tmp_path), "--cases", "3", "--seed", "5", "--category", "whole", "--workers", "1"])
-    assert drawn == [(f"mechanism-5-00{i}", 5, i, "whole") for i in range(3)]
-    assert "3 cases recorded" in capsys.readouterr().out
