@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.engine import confidence
 from validation.blind import run, seal
 from validation.rigs.benchmark import answered
@@ -61,8 +62,7 @@ def of_robot(labels: seal.Labels, content: dict[str, Any]) -> Iterator[Answer]:
 def of_rigs(folder: Path) -> Iterator[Answer]:
     """Yield every named effect that has a margin, of a folder of `validation.rigs.benchmark`."""
     for truth, answer in answered(folder):
-        if answer is not None:
-            yield from _rated(answer, right_names(truth, answer))
+        yield from _rated(answer, right_names(truth, answer))
 
 
 def _rated(answer: Mapping[str, Any], right: Mapping[str, bool]) -> Iterator[Answer]:
@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             answers = list(of_robot(labels, run.read_answers(given.answers)))
         else:
             answers = [each for folder in given.folders for each in of_rigs(folder)]
-    except seal.SealError as error:
+    except (seal.SealError, TrialError) as error:
         raise SystemExit(f"error: {error}") from None
     if not answers:
         raise SystemExit("error: no answer names an effect with a margin; name answered cases (`run` answers them)")

@@ -54,13 +54,15 @@ def test_one_of_several_inseparable_names_is_wrong_on_its_own(tmp_path, must, ri
     for folder, content in (("truths", {"causes": [cause]}), ("answers", reply)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.json").write_text(json.dumps(content))
-    (tmp_path / "truths" / "unanswered.json").write_text("{}")
     assert list(of_rigs(tmp_path)) == [("alone", 0.4, right)]
 
 
 @pytest.mark.parametrize(
     ("words", "problem"),
-    [(["rig", "nosuch"], "no answer"), (["robot", "cases", "--labels", "nosuch", "--answers", "a"], "cannot be read")],
+    [
+        (["rig", "nosuch"], "contains no case"),
+        (["robot", "cases", "--labels", "no", "--answers", "a"], "cannot be read"),
+    ],
 )
 def test_a_wrong_folder_leaves_the_shipped_chances_unchanged(tmp_path, monkeypatch, words, problem):
     monkeypatch.setattr(confidence, "__file__", str(tmp_path / "confidence.py"))

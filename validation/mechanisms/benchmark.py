@@ -8,23 +8,21 @@ FOLDER/data contains the inputs of the diagnosis, FOLDER/truths the causes and F
 and faults are those of `validation.mechanisms`.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import click
 import numpy as np
 
-from softarm.common import batch
-from softarm.common.batch import JobsFailed, Work, Workers
-from softarm.common.cluster import ClusterError
+from softarm.cli.shared.errors import failing
+from softarm.common.batch import Workers, workers_options
 from softarm.diagnosis.data.trials import TrialError
 from validation.blind.cases import apportioned
-from validation.mechanisms.cases import ANY, draw_and_write
-from validation.rigs.benchmark import add_workers, answered, recorded, run
+from validation.mechanisms.cases import ANY, MechanismCase, draw_and_write
+from validation.rigs.benchmark import CASES, FOLDER, REFUSALS, SEED, answered, make, run_command
 
 # Share of each category: one fault, one at half strength, two at two joints, one of the whole mechanism, none, and one
 # that no effect expresses.
@@ -38,27 +36,10 @@ def categories(count: int, random: np.random.Generator) -> list[str]:
     return [str(each) for each in random.permutation(found)]
 
 
-def make(folder: Path, count: int, seed: int, workers: Workers | None = None, category: str | None = None) -> int:
-    """Record the cases that are missing, all of one category if it is given, and return their number.
-
-    Raises TrialError if the folder contains other cases of the same names.
-    """
+def draw(count: int, seed: int, category: str | None = None) -> list[MechanismCase]:
+    """Draw cases of all categories, or of one."""
     kinds = [category] * count if category else categories(count, np.random.default_rng(seed))
-    names = [f"mechanism-{seed}-{i:03d}" for i in range(count)]
-    truths = folder / "truths"
-    done = recorded(truths, {name: {"category": kind} for name, kind in zip(names, kinds, strict=True)})
-    todo = {name: (i, name) for i, name in enumerate(names) if name not in done}
-    work = Work(
-        partial(_record, folder=folder, seed=seed, kinds=kinds),
-        writes=lambda case: [folder / "data" / case[1], truths / f"{case[1]}.json"],
-    )
-    batch.run("recording", work, todo, workers).complete()
-    return len(todo)
-
-
-def _record(case: tuple[int, str], folder: Path, seed: int, kinds: Sequence[str]) -> None:
-    index, name = case
-    draw_and_write(folder, name, seed, index, kinds[index])
+    return [MechanismCase(seed, index, kind) for index, kind in enumerate(kinds)]
 
 
 def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
@@ -142,36 +123,38 @@ def wrong_lines(cases: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) ->
         yield f"{found:7s} {truth['case']} {truth['robot']}: {causes} -> {stated}: {named} [{answer['seconds']:.0f} s]"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line (`python -m validation.mechanisms.benchmark --help`)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m validation.mechanisms.benchmark", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("verb", choices=("make", "run", "score"))
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--cases", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--category", choices=tuple(SHARES), help="with make: cases of this category alone")
-    add_workers(parser)
-    given = parser.parse_args(arguments)
-    workers = Workers(given.workers, given.ray)
-    try:
-        if given.verb == "make":
-            count = make(given.folder, given.cases, given.seed, workers, given.category)
-            print(f"{count} cases recorded in {given.folder}")
-        elif given.verb == "run":
-            run(given.folder, workers)
-        else:
-            cases = [(truth, reply) for truth, reply in answered(given.folder) if reply is not None]
-            if not cases:
-                raise TrialError(f"{given.folder}: contains no answers; use `run` first")
-            seconds = [reply["seconds"] for _, reply in cases]
-            print(table(cases), *wrong_lines(cases), sep="\n")
-            held = [each for truth, reply in cases for each in intervals(truth, reply).values()]
-            print(f"size intervals: {sum(held)} of {len(held)} hold the true size")
-            print(f"processor time: median {median(seconds):.0f} s, worst {max(seconds):.0f} s")
-    except (TrialError, JobsFailed, ClusterError) as error:
-        raise SystemExit(f"error: {error}") from None
+@click.group()
+def main() -> None:
+    """Measure the diagnosis on mechanisms with a MuJoCo model and known causes."""
+
+
+@main.command("make")
+@FOLDER
+@CASES
+@SEED
+@click.option("--category", type=click.Choice(tuple(SHARES)), help="Cases of this category alone.")
+@workers_options()
+@failing(*REFUSALS)
+def make_command(folder: Path, count: int, seed: int, category: str | None, workers: Workers) -> None:
+    """Draw cases and record them."""
+    make(draw(count, seed, category), folder, draw_and_write, workers)
+    click.echo(f"{count} cases in {folder / 'data'}, their causes in {folder / 'truths'}")
+
+
+main.add_command(run_command)
+
+
+@main.command("score")
+@FOLDER
+@failing(TrialError)
+def score_command(folder: Path) -> None:
+    """Print outcomes, wrong answers and the share of intervals that hold the true size."""
+    cases = answered(folder)
+    seconds = [reply["seconds"] for _, reply in cases]
+    click.echo("\n".join((table(cases), *wrong_lines(cases))))
+    held = [each for truth, reply in cases for each in intervals(truth, reply).values()]
+    click.echo(f"size intervals: {sum(held)} of {len(held)} hold the true size")
+    click.echo(f"processor time: median {median(seconds):.0f} s, worst {max(seconds):.0f} s")
 
 
 if __name__ == "__main__":

@@ -150,14 +150,29 @@ WHOLE: Final[Mapping[str, Callable[[Robot, Truth, np.random.Generator], Whole]]]
 }
 
 
-def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str) -> None:
-    """Record one case: its input in FOLDER/data/NAME and its causes in FOLDER/truths/NAME.json.
+@dataclass(frozen=True, slots=True)
+class MechanismCase:
+    """One case of the benchmark, which is drawn while it is recorded."""
 
-    Robots take turns with the index of the case. The category is "single", "half", "two", "whole", "none" or
-    "unknown".
-    """
-    random = np.random.default_rng((seed, index))
-    robot = list(ROBOTS.values())[index % len(ROBOTS)]
+    seed: int
+    index: int  # robots take turns with it
+    category: str  # "single", "half", "two", "whole", "none" or "unknown"
+
+    @property
+    def name(self) -> str:
+        """Return the name of its files."""
+        return f"mechanism-{self.seed}-{self.index:03d}"
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """Return the part of the truth that is known before the draw."""
+        return {"case": self.name, "category": self.category}
+
+
+def draw_and_write(case: MechanismCase, data: Path, truths: Path) -> None:
+    """Record one case: its input in `data/NAME` and its causes in `truths/NAME.json`."""
+    random, category = np.random.default_rng((case.seed, case.index)), case.category
+    robot = list(ROBOTS.values())[case.index % len(ROBOTS)]
     laws, masses = _healthy(robot, random)
     strength = 0.5 if category == "half" else 1.0
     count = {"none": 0, "two": 2, "whole": 0}.get(category, 1)
@@ -177,15 +192,15 @@ def draw_and_write(folder: Path, name: str, seed: int, index: int, category: str
         truth = fault.truth
         sizes = {f"{ANY}.{path}": size for path, size in fault.sizes.items()}
         causes.append({"fault": key, "joints": list(fault.joints), "names": list(fault.names), "sizes": sizes})
-    place = folder / "data" / name
+    place = data / case.name
     place.mkdir(parents=True, exist_ok=True)
     for number, kind in enumerate(TRIALS):
         write(record(robot, truth, kind, DURATION_S, random), place / f"{kind}-{number}.csv")
     shutil.copy(robot.model, place / "robot.xml")
     (place / "stage.yaml").write_text(stage_text(robot), encoding="utf-8")
-    about: dict[str, Any] = {"case": name, "robot": robot.name, "category": category, "causes": causes}
-    (folder / "truths").mkdir(exist_ok=True)
-    (folder / "truths" / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    about = {**case.truth, "robot": robot.name, "causes": causes}
+    truths.mkdir(exist_ok=True)
+    (truths / f"{case.name}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
 def sizes_of(robot: Robot, joint: str, fault: str, law: JointLaw) -> dict[str, float]:

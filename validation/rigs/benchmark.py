@@ -9,57 +9,56 @@ FOLDER/data contains the inputs of the diagnosis, FOLDER/truths the causes and F
 and faults are those of this package; `score.py` defines the outcomes.
 """
 
-import argparse
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
+import click
+
+from softarm.cli.shared.errors import failing
 from softarm.common import batch
-from softarm.common.batch import JobsFailed, Kept, Work, Workers
+from softarm.common.batch import JobsFailed, Kept, Work, Workers, workers_options
 from softarm.common.cluster import ClusterError
 from softarm.common.files import sha256_of
-from softarm.common.processes import cores
 from softarm.diagnosis.data.trials import TrialError
 from validation.blind import seal
-from validation.rigs.case import CATEGORIES, RigCase, case_of, draw
-from validation.rigs.presets import Kind
+from validation.rigs.case import CATEGORIES, SWINGS, Category, case_of, draw
+from validation.rigs.excitation import SHAPES
+from validation.rigs.faults import FAULTS
+from validation.rigs.presets import RIGS, Kind
 from validation.rigs.record import write
 from validation.rigs.score import counts, score, table, wrong_lines
 
 
-def make(cases: Sequence[RigCase], folder: Path, workers: Workers | None = None) -> None:
-    """Record the cases that are not complete yet; the truth of a case is written last.
+def make(cases: Sequence[Any], folder: Path, write: Callable[..., Any], workers: Workers | None = None) -> None:
+    """Record the cases that are not complete yet.
+
+    Args:
+        cases: Cases with a `name`, and with the drawn part of their `truth` as JSON types.
+        folder: Receives data/ and truths/.
+        write: Function of a case, the folder `data` and the folder `truths`; it writes the truth last.
+        workers: Place that the jobs run at.
 
     Raises TrialError if the folder contains other cases of the same names.
     """
     data, truths = folder / "data", folder / "truths"
-    done = recorded(truths, {case.name: case.truth for case in cases})
-    todo = {case.name: case for case in cases if case.name not in done}
-    work = Work(
+    todo = {case.name: case for case in cases if not _is_recorded(case.truth, truths / f"{case.name}.json")}
+    work: Work[Any, Any] = Work(
         partial(write, data=data, truths=truths), writes=lambda case: [data / case.name, truths / f"{case.name}.json"]
     )
     batch.run("recording", work, todo, workers).complete()
 
 
-def recorded(truths: Path, cases: Mapping[str, Mapping[str, Any]]) -> set[str]:
-    """Return the names of the cases that a folder has the truth of.
-
-    Raises:
-        TrialError: The truth of a case of that name differs.
-    """
-    found = set()
-    for name, truth in cases.items():
-        file = truths / f"{name}.json"
-        if not file.is_file():
-            continue
-        if any(value != _json(file).get(key) for key, value in truth.items()):
-            raise TrialError(f"{file}: belongs to other cases (--cases, --kind, --category); name a new folder")
-        found.add(name)
-    return found
+def _is_recorded(truth: Mapping[str, Any], file: Path) -> bool:
+    if not file.is_file():
+        return False
+    if any(value != _json(file).get(key) for key, value in truth.items()):
+        raise TrialError(f"{file}: belongs to other cases (--cases, --kind, --category); name a new folder")
+    return True
 
 
 def run(folder: Path, workers: Workers | None = None) -> None:
@@ -69,7 +68,7 @@ def run(folder: Path, workers: Workers | None = None) -> None:
     """
     cases = {path.parent.name: path.parent for path in sorted((folder / "data").glob("*/stage.yaml"))}
     if not cases:
-        raise TrialError(f"{folder}: contains no case; make some first (python -m {__spec__.name} make)")
+        raise TrialError(f"{folder}: contains no case; use `make` first")
     kept = Kept(
         lambda name: folder / "answers" / f"{name}.json",
         lambda name: {"tool": seal.tool_version(), "data": sha256_of(cases[name])},
@@ -91,80 +90,89 @@ def answer(case: Path) -> dict[str, Any]:
     return {"verdict": verdict, "margins": margins, "failure": failure, "seconds": time.process_time() - began}
 
 
-def answered(folder: Path) -> Iterator[tuple[Any, Any]]:
-    """Yield the truth and the answer of each case of a folder; the answer is None if there is none yet."""
-    for file in sorted((folder / "truths").glob("*.json")):
-        reply = folder / "answers" / file.name
-        yield _json(file), _json(reply) if reply.is_file() else None
+def answered(folder: Path) -> list[tuple[Any, Any]]:
+    """Return the truth and the answer of each case of a folder. Raises TrialError unless all are answered."""
+    files = [(file, folder / "answers" / file.name) for file in sorted((folder / "truths").glob("*.json"))]
+    if not files or not all(reply.is_file() for _, reply in files):
+        raise TrialError(f"{folder}: contains no case, or one without an answer; use `run` first")
+    return [(_json(file), _json(reply)) for file, reply in files]
 
 
 def _json(file: Path) -> Any:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line (`python -m validation.rigs.benchmark --help`)."""
-    given = _parser().parse_args(arguments)
-    folder: Path = given.folder
-    try:
-        match given.verb:
-            case "make":
-                cases = draw(given.cases, given.seed, given.kind or get_args(Kind), given.category or CATEGORIES)
-                make(cases, folder, Workers(given.workers, given.ray))
-                print(f"{len(cases)} cases in {folder / 'data'}, their causes in {folder / 'truths'}")
-            case "one":
-                case = case_of(given.rig, given.fault, given.strength, given.seed, given.excitation or ())
-                write(case, folder / "data", folder / "truths")
-                print(folder / "data" / case.name / "stage.yaml")
-            case "run":
-                run(folder, Workers(given.workers, given.ray))
-            case _:
-                _print(folder)
-    except (ValueError, KeyError, TrialError, JobsFailed, ClusterError) as error:
-        raise SystemExit(f"error: {error}") from None
+FOLDER = click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+CASES = click.option("--cases", "count", default=60, show_default=True, type=click.IntRange(1), help="Number to draw.")
+SEED = click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the draw.")
+REFUSALS = TrialError, JobsFailed, ClusterError
 
 
-def _print(folder: Path) -> None:
-    cases = list(answered(folder))
-    scored = [score(truth, reply) for truth, reply in cases if reply is not None]
-    if not scored:
-        raise TrialError(f"{folder}: contains no answers; use `run` first")
+@click.group()
+def main() -> None:
+    """Measure the diagnosis on simulated rigs with known causes."""
+
+
+@main.command("make")
+@FOLDER
+@CASES
+@SEED
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(get_args(Kind)), help="May be repeated.")
+@click.option("--category", "categories", multiple=True, type=click.Choice(CATEGORIES), help="May be repeated.")
+@workers_options()
+@failing(*REFUSALS)
+def make_command(
+    folder: Path,
+    count: int,
+    seed: int,
+    kinds: Sequence[Kind],
+    categories: Sequence[Category],
+    workers: Workers,
+) -> None:
+    """Draw cases of all or some kinds and categories, and record them."""
+    make(draw(count, seed, kinds or get_args(Kind), categories or CATEGORIES), folder, write, workers)
+    click.echo(f"{count} cases in {folder / 'data'}, their causes in {folder / 'truths'}")
+
+
+@main.command()
+@FOLDER
+@click.argument("rig", type=click.Choice(tuple(RIGS)))
+@click.argument("faults", metavar="[FAULT]...", nargs=-1)
+@click.option("--strength", default=1.0, show_default=True, help="Share of the usual sizes.")
+@SEED
+@click.option("--excitation", "excitations", multiple=True, help="Excitation of a trial; may be repeated.")
+def one(
+    folder: Path, rig: str, faults: tuple[str, ...], strength: float, seed: int, excitations: tuple[str, ...]
+) -> None:
+    """Record a rig with chosen faults (validation/rigs/faults.py)."""
+    plant = RIGS[rig].plant
+    allowed = {*FAULTS[plant], *(SWINGS if plant == "pendulum" else SHAPES)}
+    if unknown := {*faults, *excitations} - allowed:
+        raise click.BadParameter(f"{rig} has no {', '.join(unknown)}; allowed are {', '.join(sorted(allowed))}")
+    case = case_of(rig, faults, strength, seed, excitations)
+    write(case, folder / "data", folder / "truths")
+    click.echo(folder / "data" / case.name / "stage.yaml")
+
+
+@main.command("run")
+@FOLDER
+@workers_options()
+@failing(*REFUSALS)
+def run_command(folder: Path, workers: Workers) -> None:
+    """Diagnose every case; continues an interrupted run."""
+    run(folder, workers)
+
+
+@main.command("score")
+@FOLDER
+@failing(TrialError)
+def score_command(folder: Path) -> None:
+    """Print outcomes and wrong answers, and write FOLDER/score.json."""
+    scored = [score(truth, reply) for truth, reply in answered(folder)]
     found = counts(scored)
     text = json.dumps({"shares": found, "cases": [asdict(each) for each in scored]}, indent=1)
     (folder / "score.json").write_text(text + "\n", encoding="utf-8")
-    print(table(found), wrong_lines(scored), sep="\n\n")
-    if unanswered := [truth["case"] for truth, reply in cases if reply is None]:
-        print(f"\nnot answered: {', '.join(unanswered)}")
-
-
-def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the place that jobs run at."""
-    parser.add_argument("--workers", type=int, default=cores(), help="parallel jobs here; one per core by default")
-    parser.add_argument("--ray", help="address of a Ray cluster with this checkout; 'local' starts one here")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python -m {__spec__.name}", description=__doc__.split("\n")[0])
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    made = verbs.add_parser("make", help="draw cases and record them")
-    made.add_argument("folder", type=Path)
-    made.add_argument("--cases", type=int, default=60)
-    made.add_argument("--kind", action="append", choices=get_args(Kind), help="may be repeated; all by default")
-    made.add_argument("--category", action="append", choices=CATEGORIES, help="may be repeated; all by default")
-    one = verbs.add_parser("one", help="record a rig with chosen faults (validation/rigs/faults.py)")
-    one.add_argument("folder", type=Path)
-    one.add_argument("rig")
-    one.add_argument("fault", nargs="*")
-    one.add_argument("--strength", type=float, default=1.0)
-    one.add_argument("--excitation", action="append", help="excitation of a trial; may be repeated")
-    ran = verbs.add_parser("run", help="diagnose every case; continues an interrupted run")
-    ran.add_argument("folder", type=Path)
-    for verb in (made, one):
-        verb.add_argument("--seed", type=int, default=0)
-    for verb in (made, ran):
-        add_workers(verb)
-    verbs.add_parser("score", help="table, wrong answers, score.json").add_argument("folder", type=Path)
-    return parser
+    click.echo(f"{table(found)}\n\n{wrong_lines(scored)}")
 
 
 if __name__ == "__main__":

@@ -132,12 +132,7 @@ def draw(
     """Draw cases of some kinds and categories; neither their order nor their names reveal their contents.
 
     Kinds alternate, and so do the rigs of a kind; `SHARES` gives the number of cases per category.
-
-    Raises:
-        ValueError: The count is below 1, or the seed is negative.
     """
-    if count < 1 or seed < 0:
-        raise ValueError(f"count is {count}, seed is {seed}; give a count from 1 and a seed from 0")
     random = np.random.default_rng((seed, 0))
     wanted = [c for c, n in apportioned({c: SHARES[c] for c in categories}, count).items() for _ in range(n)]
     random.shuffle(wanted)

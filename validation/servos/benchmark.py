@@ -31,7 +31,7 @@ from softarm.common.batch import JobsFailed, Kept, Work
 from softarm.common.files import sha256_of
 from softarm.diagnosis.data.trials import TrialError
 from validation.blind import seal
-from validation.rigs.benchmark import answered, run
+from validation.rigs.benchmark import FOLDER, answered, run_command
 
 HELD_OUT = "sin_sin-100"
 FITTED = "m1", "m6"  # the model that MJCF holds, and the most general one
@@ -165,9 +165,7 @@ def _left(case: Path, model: Path, verdict: Path | None) -> float:
 
 def score(folder: Path) -> dict[str, Any]:
     """Return outcomes by model of friction, sizes beside the true ones, and the errors on the held-out motion."""
-    cases = [(truth, reply) for truth, reply in answered(folder) if reply is not None]
-    if not cases:
-        raise TrialError(f"{folder}: contains no answers; use `run` first")
+    cases = answered(folder)
     if any(reply["tool"] != seal.tool_version() for _, reply in cases):
         raise TrialError(f"{folder}: contains answers of another version; use `run` again")
     found: dict[str, Counter[str]] = {law: Counter() for law in EXPECTED}
@@ -193,7 +191,6 @@ def _share(truth: Mapping[str, Any], reply: Mapping[str, Any]) -> list[float] | 
     return [true, named["value"], named["low"], named["high"]]
 
 
-FOLDER = click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 PYTHON = click.option("--python", type=click.Path(path_type=Path), required=True, help="BAM's interpreter.")
 
 
@@ -211,12 +208,7 @@ def make_command(folder: Path, python: Path) -> None:
         click.echo(f"{make(folder, python)} cases recorded in {folder}")
 
 
-@main.command("run")
-@FOLDER
-def run_command(folder: Path) -> None:
-    """Diagnose every case; continues an interrupted run."""
-    with failing(TrialError, JobsFailed):
-        run(folder)
+main.add_command(run_command)
 
 
 @main.command("compare")

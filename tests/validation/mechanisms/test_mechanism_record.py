@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from validation.mechanisms import cases
-from validation.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, draw_and_write, scales_of, sizes_of
+from validation.mechanisms.cases import FAULTS, UNKNOWNS, WHOLE, MechanismCase, draw_and_write, scales_of, sizes_of
 from validation.mechanisms.record import ROBOTS, JointLaw, Truth, loaded, record
 
 HEALTHY = Truth({})
@@ -93,16 +93,16 @@ def test_a_heavier_body_is_named_with_the_joints_that_move_it(seed):
 def test_a_case_holds_its_input_apart_from_its_causes(tmp_path, scales, monkeypatch):
     monkeypatch.setattr(cases, "DURATION_S", 0.3)
     monkeypatch.setattr(cases, "scales_of", lambda robot: {"camera": scales}[robot.name])
-    draw_and_write(tmp_path, "case", seed=1, index=4, category="two")
-    assert sorted(path.name for path in (tmp_path / "data" / "case").iterdir()) == [
+    draw_and_write(MechanismCase(1, 4, "two"), tmp_path / "data", tmp_path / "truths")
+    assert sorted(path.name for path in (tmp_path / "data" / "mechanism-1-004").iterdir()) == [
         "holds-1.csv", "multisine-0.csv", "multisine-2.csv", "robot.xml", "stage.yaml",
     ]  # fmt: skip
-    causes = json.loads((tmp_path / "truths" / "case.json").read_text())["causes"]
+    causes = json.loads((tmp_path / "truths" / "mechanism-1-004.json").read_text())["causes"]
     assert len({joint for cause in causes for joint in cause["joints"]}) == 2
     assert all(path.split(".")[0] in cause["joints"] for cause in causes for path in cause["sizes"])
     # A cause of the whole mechanism holds all its joints.
-    draw_and_write(tmp_path, "whole", seed=1, index=4, category="whole")
-    (cause,) = json.loads((tmp_path / "truths" / "whole.json").read_text())["causes"]
+    draw_and_write(MechanismCase(1, 4, "whole"), tmp_path / "data", tmp_path / "truths")
+    (cause,) = json.loads((tmp_path / "truths" / "mechanism-1-004.json").read_text())["causes"]
     assert cause["joints"] == ["pan", "tilt"]
     assert cause["names"] in (["tilt"], ["payload"], ["mass_camera", "mass", "payload"])
     assert {path.rpartition(".")[0] for path in cause["sizes"]} == {f"*.{cause['names'][0]}"}

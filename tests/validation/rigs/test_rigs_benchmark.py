@@ -3,11 +3,13 @@
 import json
 
 import pytest
+from click.testing import CliRunner
 
 from softarm.common.batch import Workers
 from softarm.diagnosis.data.trials import TrialError
 from validation.rigs import benchmark, sizes
 from validation.rigs.case import case_of
+from validation.rigs.record import write
 from validation.rigs.score import WEAK, score
 
 
@@ -78,9 +80,21 @@ def test_wrong_names_count_as_confident_and_weak_faults_are_counted_apart():
     assert score(truth(category="none", clarity=float("inf")), reply("none")).category == "none"
 
 
+def invoke(*words):
+    return CliRunner().invoke(benchmark.main, [str(word) for word in words])
+
+
+@pytest.mark.parametrize("wrong", [["nosuch", "dead_time"], ["servo", "nosuch"], ["servo", "--excitation", "nosuch"]])
+def test_an_unknown_rig_fault_or_excitation_is_refused_with_the_known_ones(tmp_path, wrong):
+    done = invoke("one", tmp_path, *wrong)
+    assert done.exit_code == 2
+    assert "nosuch" in done.output
+    assert "servo" in done.output
+
+
 @pytest.mark.slow
-def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monkeypatch, capsys):
-    benchmark.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, Workers(1))
+def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monkeypatch):
+    benchmark.make([case_of("servo", ["dead_time"], 1.0, 1, ["steps", "chirp"])], tmp_path, write, Workers(1))
     asked = []
 
     def answer(case):
@@ -90,16 +104,15 @@ def test_only_changed_cases_are_answered_again_and_all_are_scored(tmp_path, monk
 
     monkeypatch.setattr(benchmark, "answer", answer)
     for _ in range(2):
-        benchmark.main(["run", str(tmp_path), "--workers", "1"])
+        invoke("run", tmp_path, "--workers", 1)
     assert asked == [tmp_path / "data" / "servo-dead_time"]
     stage = asked[0] / "stage.yaml"
     stage.write_text(stage.read_text() + "\n")
-    benchmark.main(["run", str(tmp_path), "--workers", "1"])
+    invoke("run", tmp_path, "--workers", 1)
     assert len(asked) == 2
     with pytest.raises(TrialError, match=r"servo-dead_time.json: belongs to other cases"):
-        benchmark.make([case_of("servo", ["dead_time"], 0.5, 1, ["steps", "chirp"])], tmp_path, Workers(1))
-    benchmark.main(["score", str(tmp_path)])
-    assert "| all | 1 | 1 |" in capsys.readouterr().out
+        benchmark.make([case_of("servo", ["dead_time"], 0.5, 1, ["steps", "chirp"])], tmp_path, write, Workers(1))
+    assert "| all | 1 | 1 |" in invoke("score", tmp_path).output
     assert json.loads((tmp_path / "score.json").read_text())["cases"][0]["outcome"] == "right"
 
 
