@@ -3,9 +3,10 @@
     python -m benchmarks.results            list the results, with the commits that have changed their code since
     python -m benchmarks.results --check    exit with 1 if a result is older than its code
 
-Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date, the
-command and the paths that the figures depend on; `transcribed` marks figures copied from a page, whose revision is the
-commit that last changed the page's table. Changed comments, docstrings and layout of Python do not make a result old.
+Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date and
+the command; `transcribed` marks figures copied from a page, whose revision is the commit that last changed the page's
+table. DEPENDS holds the paths that the figures depend on. Changed comments, docstrings and layout of Python do not make
+a result old.
 `python -m tools.render` fills the tables of docs/ from these files.
 """
 
@@ -138,20 +139,18 @@ def write(file: Path | None, figures: Mapping[str, Any], command: str | None = N
     """Write figures and how they were measured.
 
     Args:
-        file: Target, None for none; in FOLDER its stem names the result and thus the paths it depends on.
+        file: Target, None for none.
         figures: Figures by name.
         command: Command that measured them; this program by default.
     """
     if file is None:
         return
-    about: dict[str, Any] = {
+    about = {
         "revision": measured(),
         "machine": {**machine(), "cpu": _cpu(), "cores": cores()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command or _command(),
     }
-    if file.parent.resolve() == FOLDER:
-        about["depends"] = depends_on(file.stem)
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
 
 
@@ -181,16 +180,15 @@ def read(name: str) -> dict[str, Any]:
     return found
 
 
-def age(about: Mapping[str, Any], root: Path = CHECKOUT) -> int:
-    """Return how many commits have changed the code that a result depends on since it was measured.
+def age(since: str, depends: Sequence[str], root: Path = CHECKOUT) -> int:
+    """Return how many commits have changed some paths since a revision.
 
     Returns 0 if they changed comments, docstrings and layout alone.
 
-    Raises CalledProcessError if the checkout does not have the result's revision (a shallow clone).
+    Raises CalledProcessError if the checkout does not have the revision (a shallow clone).
     """
-    since = str(about["revision"])
     # softarm/ was at the top level of older revisions.
-    paths = [each for path in about["depends"] for each in (path, path.removeprefix("softarm/"))]
+    paths = [each for path in depends for each in (path, path.removeprefix("softarm/"))]
     changed = _git(root, "diff", "--name-only", "--no-renames", since, "HEAD", "--", *paths).splitlines()
     if all(_code(root, since, path) == _code(root, "HEAD", path) for path in changed):
         return 0
@@ -245,7 +243,7 @@ def main(check: bool) -> None:
     for file in sorted(FOLDER.glob("*.json")):
         about = read(file.stem)["about"]
         try:
-            behind = age(about)
+            behind = age(about["revision"], depends_on(file.stem))
         except subprocess.CalledProcessError:
             lacking = f"{file.name}: this checkout lacks revision {about['revision']}"
             raise click.ClickException(f"{lacking}; run `git fetch --unshallow`") from None
