@@ -70,6 +70,7 @@ _FLOWN = "base.py", "mppi", "onnx_graph.py", "onnx_policy.py", "pid.py", "plans.
 _FLIGHTS = (
     *_CONTROL,
     *_SIMULATOR,
+    "softarm/daemon/runtime/offline.py",
     "softarm/drivers/bodies",
     *(f"softarm/evaluation/{name}.py" for name in _EVALUATED),
     *(f"softarm/policies/{name}" for name in (*_FLOWN, "models")),
@@ -88,15 +89,24 @@ _DIAGNOSIS = (
 )
 _ROBOT = "devices", "parameters", "plant", "record", "robot", "sensors"
 _REALITY = tuple(f"softarm/reality/{name}.py" for name in _ROBOT)  # the independent soft arm
-_BLIND = (*_DIAGNOSIS, "validation/blind", *_REALITY)
+_EXCITATION = "softarm/schemas/excitation.py"
+_BLIND = (*_DIAGNOSIS, _EXCITATION, "validation/blind", *_REALITY)
+_CONFIG = "softarm/schemas/config.py"
 _ADVERSARY = ("validation/adversary.py", "validation/adversary_batch.py")
 _DAEMON = "validation/daemon_process.py"
 _REAL_ARM = tuple(f"benchmarks/{name}.py" for name in ("arm_recordings", "pace", "real_arm"))
 
 # Result name, or the part of it before the first hyphen -> the paths whose change may change the figures.
 DEPENDS: Mapping[str, tuple[str, ...]] = {
-    "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", *_ADVERSARY),
-    "adversary-tick": (*_CONTROL, *_ADVERSARY),
+    "adversary": (*_SIMULATOR, "softarm/common/braking.py", "softarm/daemon/control/safety.py", _CONFIG, *_ADVERSARY),
+    "adversary-cost": (*_FLIGHTS, *_ADVERSARY),
+    "adversary-tick": (
+        *_CONTROL,
+        *_SIMULATOR,
+        "softarm/daemon/runtime/offline.py",
+        "softarm/drivers/bodies",
+        *_ADVERSARY,
+    ),
     "all": (*_FLIGHTS, *_REALITY),
     "blind": _BLIND,
     "bridging": (*_FLIGHTS, *_REALITY, "benchmarks/bridging.py"),
@@ -106,16 +116,27 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
         *_FLIGHTS,
         *_DIAGNOSIS,
         "softarm/evaluation/closing",
+        _EXCITATION,
         "softarm/schemas/verdict.py",
         *_REALITY,
         "softarm/training",
+        "validation/blind/cases.py",
         "validation/closing.py",
     ),
-    "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py"),
+    "dead": (*_WIRES, _DAEMON, "validation/dead_daemon.py", "validation/matrix/faulty_policies.py"),
     "detection": (*_BLIND, "validation/detection.py"),
     "faults": (*_FLIGHTS, *_REALITY),
     "grid": _FLIGHTS,
-    "limits": ("softarm/daemon/limits", "softarm/simulator", *_REALITY, *_ADVERSARY, "validation/limits.py"),
+    "limits": (
+        *_FLIGHTS,
+        "softarm/daemon/limits",
+        "softarm/policies/excite.py",
+        "softarm/recordings/rail_motion.py",
+        _EXCITATION,
+        *_REALITY,
+        *_ADVERSARY,
+        "validation/limits.py",
+    ),
     "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),
     "matrix": (*_WIRES, "softarm/policies", _DAEMON, "validation/matrix"),
     "needs": _PLANNING,
@@ -123,10 +144,18 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "real": (*_ENGINE, "softarm/diagnosis/rigs", *_REAL_ARM),
     "replanning": (*_FLIGHTS, "benchmarks/replanning.py"),
     "servos": (*_ENGINE, "softarm/diagnosis/rigs", "validation/servos"),
-    "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
-    "stop": (*_WIRES, *_API, _DAEMON, "validation/stop.py"),
+    "simulator": (*_SIMULATOR, *(f"benchmarks/{name}.py" for name in ("commands", "mujoco_arm", "simulator"))),
+    "stop": (*_WIRES, *_API, _DAEMON, "benchmarks/loop.py", "validation/stop.py"),
     "training": (*_TRAINING, "benchmarks/training.py"),
-    "viewers": (*_WIRES, *_API, "softarm/daemon/logbook", _DAEMON, "validation/viewers.py"),
+    "viewers": (
+        *_WIRES,
+        *_API,
+        "softarm/daemon/logbook",
+        _DAEMON,
+        "benchmarks/loop.py",
+        "validation/soak/growth.py",
+        "validation/viewers.py",
+    ),
 }
 
 
