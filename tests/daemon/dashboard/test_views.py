@@ -374,8 +374,11 @@ def test_an_ended_goal_is_replayed_saved_and_shown_after_a_reload(page, robot, b
     if first["state"] == "reached":  # on a busy machine the arm may miss
         row.locator("text=/Closest \\d+\\.\\d cm/").wait_for()
     assert re.search(r"\d+ of \d+ reached \(\d+ %\)", page.locator("#panel-goals .hint").inner_text())
+    busy = {"status": 503, "json": {"reasons": ["the daemon is busy"]}}
+    page.route("**/api/recent**", lambda route: route.fulfill(**busy), times=1)
     row.get_by_role("button", name="Show the swing").click()
-    shown(page, first)
+    page.locator("#swing-note", has_text="The daemon is busy").wait_for()
+    shown(page, first)  # a refused request is repeated
     page.locator("#swing-title", has_text="Swing of").wait_for()
     page.route("**/api/recent**", lambda route: route.fulfill(json={"tick": [10**9], "time": [0.0]}))
     page.locator("#panel-goals li:first-child button").click()

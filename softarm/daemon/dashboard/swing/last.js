@@ -1,6 +1,6 @@
 // The panel "Last swing": the newest goal that has ended, or one that is chosen in the list of goals.
 
-import { get } from "../link/api.js";
+import { Refused, get } from "../link/api.js";
 import { STORED_S } from "../link/history.js";
 import { $, clock, sentence, setText, words } from "../view/dom.js";
 import { AFTER_S, cutSwing, secondsOf } from "./cut.js";
@@ -9,6 +9,7 @@ import { save } from "./save.js";
 
 const LOADING_S = 15;
 const RETRY_MS = 300;
+const REFUSED_MS = 2000; // until a refused request is repeated
 const STORED = "The daemon keeps the last ten minutes; older swings are in the logs.";
 
 export class LastSwing {
@@ -40,8 +41,13 @@ export class LastSwing {
 
   async load(goal, title) {
     this.wanted = goal;
-    const swing = await this.fetched(goal).catch(words);
+    let repeat = false;
+    const swing = await this.fetched(goal).catch((error) => {
+      repeat = error instanceof Refused;
+      return words(error);
+    });
     if (this.wanted !== goal) return; // another goal was chosen meanwhile
+    if (repeat) setTimeout(() => this.wanted === goal && this.load(goal, title), REFUSED_MS);
     if (typeof swing === "string") return void setText($("swing-note"), swing);
     this.swing = swing;
     if (!this.closest.has(goal.key)) {
