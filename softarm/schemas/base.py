@@ -1,8 +1,9 @@
 """Base class of data models, and JSON conversion of records."""
 
+import re
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 
@@ -11,6 +12,20 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+
+def tcp_address(endpoint: str) -> tuple[str, int] | None:
+    """Return host and port of a Zenoh endpoint tcp/HOST:PORT, or None for another form or a port above 65535."""
+    found = re.fullmatch(r"tcp/\[?(.+?)\]?:([0-9]{1,5})", endpoint)
+    return None if found is None or int(found[2]) > 65535 else (found[1], int(found[2]))
+
+
+def _checked(endpoint: str) -> str:
+    if tcp_address(endpoint) is None and not re.fullmatch("(?!tcp/)[a-z-]+/.+", endpoint):
+        raise ValueError(f"is {endpoint!r}; allowed tcp/HOST:PORT with a port up to 65535, e.g. tcp/127.0.0.1:7447")
+    return endpoint
+
+
+Endpoint = Annotated[str, AfterValidator(_checked)]  # of Zenoh
 
 # Two numbers as an array of one kind of item: generators of clients hardly know tuples (`prefixItems`).
 Pair = Annotated[tuple[float, ...], Field(min_length=2, max_length=2)]

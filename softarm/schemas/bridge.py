@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from softarm.schemas.base import Strict
+from softarm.schemas.base import Endpoint, Strict
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 Metres = Annotated[float, Field(ge=-100, le=100)]
@@ -71,7 +71,7 @@ class Marks(Strict):
 class Listener(Strict):
     """Address of the daemon, as in its `drivers.mocap`."""
 
-    endpoint: str = "tcp/127.0.0.1:7447"
+    endpoint: Endpoint = "tcp/127.0.0.1:7447"
     key: str = "softarm/mocap"
 
 

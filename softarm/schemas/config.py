@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from softarm.common.braking import BrakingLaw
-from softarm.schemas.base import Strict
+from softarm.schemas.base import Endpoint, Strict, tcp_address
 from softarm.schemas.robot import (
     CART_VELOCITY_MAX_M_S,
     CONTROL_PERIOD_S,
@@ -138,7 +138,7 @@ class Mocap(Strict):
     """Motion capture over Zenoh (the daemon listens, bridges connect), or from an installed plugin with options."""
 
     driver: str = "zenoh"  # or a plug-in of the group softarm.mocap_sources
-    endpoint: str = "tcp/127.0.0.1:7447"
+    endpoint: Endpoint = "tcp/127.0.0.1:7447"
     key: str = "softarm/mocap"
     options: dict[str, str | float | int | bool] = Field(default_factory=dict)  # options of the plug-in
 
@@ -164,7 +164,7 @@ class DryveRail(Strict):
     driver: Literal["dryve_d1"] = "dryve_d1"
     host: str = "169.254.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] = 502
-    units_per_m: Annotated[float, Field(gt=0)] = 100_000  # 60A8h: 0.01 mm by default
+    units_per_m: Annotated[float, Field(ge=1000, le=10_000_000)] = 100_000  # 60A8h: 0.01 mm by default
     # Position of the rail's middle on the homed axis.
     centre_m: Annotated[float, Field(ge=-2.0, le=2.0)] = 0.30
     reversed: bool = False  # true: the axis counts down towards +y
@@ -273,8 +273,9 @@ class Ros(Strict):
 
     @model_validator(mode="after")
     def _check_texts(self) -> Self:
-        if self.router is not None and not re.fullmatch(r"tcp/.+:[1-9][0-9]{0,4}", self.router):
-            raise ValueError(f"ros.router is {self.router!r}; allowed tcp/HOST:PORT, e.g. tcp/127.0.0.1:7447, or null")
+        if self.router is not None and (tcp_address(self.router) or ("", 0))[1] == 0:
+            allowed = "tcp/HOST:PORT with a port from 1 to 65535, e.g. tcp/127.0.0.1:7447, or null"
+            raise ValueError(f"ros.router is {self.router!r}; allowed {allowed}")
         if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
             raise ValueError(f"ros.name is {self.name!r}; allowed a-z, 0-9 and _ after a letter: choose another")
         return self
@@ -282,9 +283,9 @@ class Ros(Strict):
     @property
     def address(self) -> tuple[str, int]:
         """Return host and port of a router that is not null."""
-        assert self.router is not None
-        host, _, port = self.router.removeprefix("tcp/").rpartition(":")
-        return host.strip("[]"), int(port)
+        address = tcp_address(self.router or "")
+        assert address is not None
+        return address
 
 
 class Config(Strict):

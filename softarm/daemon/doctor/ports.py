@@ -7,7 +7,6 @@ The serial device is never opened, since that would disturb the program that use
 import contextlib
 import grp
 import os
-import re
 import socket
 import stat
 import struct
@@ -20,13 +19,13 @@ from softarm.common.finding import Finding, ok, problem, warning
 from softarm.daemon.access import sockets
 from softarm.daemon.access.sockets import holders
 from softarm.drivers.mocap import plugged
+from softarm.schemas.base import tcp_address
 from softarm.schemas.config import Config, Ros
 
 CONNECT_S = 1.0
 SLOW_MS = 8.0  # to connect; exchanges are shorter than a tick
 SERIAL = ("serial/by-id/*", "ttyACM*", "softarm-regulator")  # under /dev: where a Teensy shows
 ESTABLISHED = "01"
-PORT_MAX = 65535
 TWIN = "start the twin: `softarm twin --config FILE`"
 
 
@@ -170,12 +169,9 @@ def listening(config: Config, wires: bool) -> Iterator[Finding]:
     wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
     mocap = config.drivers.mocap
     if wires and mocap.driver == plugged.BUILT_IN:
-        zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
-        if zenoh is not None and int(zenoh[2]) <= PORT_MAX:
-            wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
-        elif zenoh is not None or not re.fullmatch("[a-z-]+/.+", mocap.endpoint):
-            key, allowed = "drivers.mocap.endpoint", f"tcp/HOST:PORT with a port up to {PORT_MAX}"
-            yield problem(key, f"{key} is {mocap.endpoint!r}; allowed {allowed}, e.g. tcp/127.0.0.1:7447")
+        address = tcp_address(mocap.endpoint)
+        if address is not None:
+            wanted.append(("drivers.mocap.endpoint", *address))
     for key, host, port in wanted:
         try:
             if port:

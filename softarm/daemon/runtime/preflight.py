@@ -123,8 +123,6 @@ def _ros(config: Config, wires: bool) -> Iterator[Finding]:
         )
         yield problem(NAME, text, CORRECT, key)
     host, port = ros.address
-    if port > 65535:
-        yield problem(NAME, f"ros.router has port {port}; allowed 1 to 65535", CORRECT, key)
     if wires and mocap.driver == plugged.BUILT_IN and is_loopback(host) and mocap.endpoint.endswith(f":{port}"):
         text = (
             f"ros.router is {ros.router}, and the daemon listens at drivers.mocap.endpoint {mocap.endpoint}; "

@@ -108,6 +108,10 @@ def test_all_mistakes_are_reported_in_the_files_order(write):
         ),
         ("goals: {workspace: {z_min_m: 0.9}}", "1: goals.workspace: y_min_m must lie below y_max_m, and z_min_m below"),
         ("limits:\n  rail:\npolicies:\n", "3: policies: is null; allowed a group of names"),
+        ("drivers: {mocap: {endpoint: foo}}", "1: drivers.mocap.endpoint: is 'foo'; allowed tcp/HOST:PORT with"),
+        ("drivers: {mocap: {endpoint: tcp/arm}}", "1: drivers.mocap.endpoint: is 'tcp/arm'; allowed tcp/HOST:PORT"),
+        ("drivers: {rail: {units_per_m: 0.001}}", "1: drivers.rail.units_per_m: is 0.001; allowed 1000 to"),
+        ("ros: {router: 'tcp/10.0.0.2:99999'}", "1: ros.router: is 'tcp/10.0.0.2:99999'; allowed tcp/HOST:PORT"),
     ],
 )
 def test_each_mistake_has_its_message(write, text, said):

@@ -132,19 +132,10 @@ def test_an_endpoint_without_tcp_is_not_checked():
     assert list(ports.listening(config, wires=True)) == []
 
 
-@pytest.mark.parametrize(
-    ("host", "endpoint", "key"),
-    [
-        ("a..b", "tcp/127.0.0.1:0", "api.port"),
-        ("127.0.0.1", "tcp/127.0.0.1:99999", "drivers.mocap.endpoint"),
-        ("127.0.0.1", "foo", "drivers.mocap.endpoint"),
-    ],
-)
-def test_an_address_that_cannot_exist_is_reported(host, endpoint, key):
-    port = 0 if host == "127.0.0.1" else 8080
-    config = Config(api=Api(host=host, port=port, stop_port=0), drivers=Drivers(mocap=Mocap(endpoint=endpoint)))
+def test_an_address_that_cannot_exist_is_reported():
+    config = Config(api=Api(host="a..b", stop_port=0), drivers=Drivers(mocap=Mocap(endpoint="tcp/127.0.0.1:0")))
     found = only(ports.listening(config, wires=True))
-    assert (found.name, found.state) == (key, State.PROBLEM)
+    assert (found.name, found.state) == ("api.port", State.PROBLEM)
     assert ports.look_axis("a..b", 502).error
 
 
