@@ -16,7 +16,7 @@ from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.flights import SHELF_MIDDLE_M, Scenario
 from softarm.schemas.goals import Goal, GoalStatus
-from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, Command, MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import Command, MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
 
@@ -182,7 +182,7 @@ def first_stamp_ns(path: Path) -> int:
     """
     for one in records(path):
         match one:
-            case MocapFrame() if one.t_capture_ns - one.t_receive_ns <= CAPTURE_AHEAD_MAX_NS:
+            case MocapFrame() if not one.from_another_clock:
                 return one.t_capture_ns
             case PressureReading() | RailReading():
                 return one.t_receive_ns

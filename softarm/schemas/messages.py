@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from softarm.schemas.base import json_object
 
-CAPTURE_AHEAD_MAX_NS = 5_000_000  # clock noise: a frame stamped further ahead of its reception is from another clock
+CAPTURE_AHEAD_MAX_NS = 5_000_000  # clock noise
 BODY_NAMES = ("cart", "link1", "link2", "link3", "link4", "link5")
 
 
@@ -37,6 +37,11 @@ class MocapFrame:
         """Raise ValueError for another number of bodies."""
         if len(self.bodies) != len(BODY_NAMES):
             raise ValueError(f"a frame has {len(BODY_NAMES)} bodies ({', '.join(BODY_NAMES)}), not {len(self.bodies)}")
+
+    @property
+    def from_another_clock(self) -> bool:
+        """Return whether the frame is stamped ahead of its reception by more than clock noise."""
+        return self.t_capture_ns - self.t_receive_ns > CAPTURE_AHEAD_MAX_NS
 
 
 @dataclass(frozen=True, slots=True)

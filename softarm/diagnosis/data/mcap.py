@@ -7,7 +7,7 @@ import numpy as np
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.trials import ROBOT_CHANNELS, Series, Trial, TrialError
 from softarm.recordings import flight, mcap_file
-from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 # A cart that moved less was held.
 HELD_M = 5e-4
@@ -53,7 +53,7 @@ class _Readings:
                 self._add_tick(record.outputs)
 
     def _add_frame(self, frame: MocapFrame) -> None:
-        if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:
+        if frame.from_another_clock:
             return  # stamped by another clock: the control loop rejected this frame
         poses = [
             value

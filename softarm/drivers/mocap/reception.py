@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 
 from softarm.drivers.base import DeviceError
-from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, MocapFrame
+from softarm.schemas.messages import MocapFrame
 
 # Longest wait for the thread at the end.
 JOIN_S = 0.9
@@ -76,13 +76,12 @@ class Reception:
 
     def accept(self, frame: MocapFrame) -> None:
         """Buffer a frame, or reject it if it is out of order. Call from one thread only."""
-        in_future = frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS
-        if not in_future and frame.t_capture_ns <= self._last_capture_ns:
+        if not frame.from_another_clock and frame.t_capture_ns <= self._last_capture_ns:
             self.misplaced += 1
             self.complain(frame.t_receive_ns, "a frame no newer than the last: repeated, or two bridges publish")
             return
         # Otherwise every frame after the correction of the clock would be out of order.
-        if not in_future:
+        if not frame.from_another_clock:
             self._last_capture_ns = frame.t_capture_ns
         self._last_frame_ns = frame.t_receive_ns
         self._good.append(frame)

@@ -22,7 +22,7 @@ from softarm.recordings.log_file import LogFile
 from softarm.reporting.colours import on_any_ground
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
-from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 _KEPT = ("title", "description", "type", "enum", "const", "format")
 Node = dict[str, Any]
@@ -204,7 +204,7 @@ class Converter:
 
     def _goes_on(self, frame: MocapFrame, seen_ns: int) -> bool:
         """Return whether the trail of the tip has a new point."""
-        if frame.t_capture_ns - frame.t_receive_ns > CAPTURE_AHEAD_MAX_NS:  # stamped by another clock
+        if frame.from_another_clock:
             return False
         tip = frame.bodies[-1]
         since_ns = seen_ns - self._tip[-1][0] if self._tip else TRAIL_STEP_NS
