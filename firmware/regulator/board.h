@@ -41,7 +41,8 @@ struct Sensor {
 };
 
 // Festo VPPI, by its range. The first is documented: set-point and feedback 0 to 10 V over -1 to +1 bar, 0 bar at 5 V.
-// The second, for 0 to 2 bar, is not verified; it cannot go below ambient pressure.
+// The second, for 0 to 2 bar, is not verified; it cannot go below ambient pressure. Its feedback of 0 V at vent reads as
+// a broken wire: give it a sensor of its own.
 constexpr Valve kVppiMinus1To1Bar = {-100.0F, 100.0F, 0.0F, 10.0F, 5.0F};
 constexpr Valve kVppi0To2Bar = {0.0F, 200.0F, 0.0F, 10.0F, 0.0F};
 
