@@ -10,7 +10,7 @@ from collections import deque
 
 import numpy as np
 
-from softarm.reality.parameters import Rail, Regulator
+from softarm.reality.parameters import MOTOR_KG, Rail, Regulator
 
 
 class Wire:
@@ -73,7 +73,6 @@ def _share(dt_s: float, time_s: float) -> float:
 
 
 # With play, the motor is a separate body whose mass is part of the cart's; beyond the play, the belt is a stiff spring.
-MOTOR_KG = 0.1
 BELT_N_M = 2e4
 BELT_N_S_M = 40.0
 

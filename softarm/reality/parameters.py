@@ -167,6 +167,7 @@ class Clock(Checked):
     camera_drift: float = quantity(0.0, "-", -0.01, 0.01, "seconds that the capture stamps gain per second")
 
 
+MOTOR_KG = 0.1  # the part of the cart's mass in front of the backlash
 GROUPS = (Regulator, Rail, Arm, Mocap, PressureSensor, RailSensor, Clock)
 
 
@@ -185,13 +186,27 @@ class RobotParameters:
     clock: Clock = field(default_factory=Clock)
 
     def __post_init__(self) -> None:
-        """Reject an arm that does not have the five links of a motion-capture frame."""
+        """Reject an arm without the five links of a motion-capture frame, and a cart lighter than its motor."""
         if self.body.links != 5:
             raise ValueError(f"body has {self.body.links} links; a mocap frame carries 5: give a model with 5")
+        if self.rail.backlash_m and self.cart.mass_kg <= MOTOR_KG:
+            mass = f"cart.mass_kg is {self.cart.mass_kg:g}"
+            raise ValueError(f"{mass}; with backlash the motor is {MOTOR_KG:g} kg of it: give more, or no backlash")
+
+
+ACTUATORS = "pressure.lag", "rail.acceleration_limit", "rail.delay"  # effects of a model that a robot has
 
 
 def of_model(model: seed.Model) -> RobotParameters:
-    """Return the nominal robot of a model file: its arm, its cart and the time constants of its actuators."""
+    """Return the nominal robot of a model file: its arm, its cart and the time constants of its actuators.
+
+    Raises ValueError for effects that are no part of the nominal robot.
+    """
+    if others := [name for name in model.effects if name not in (*ACTUATORS, "observation.finite_difference")]:
+        raise ValueError(
+            f"the independent robot does not take the model's {', '.join(others)}; allowed are {', '.join(ACTUATORS)}: "
+            "remove the others, and give its own parameters, e.g. --fault arm.payload_kg=0.1"
+        )
     lag = model.effects.get("pressure.lag", {})
     regulator = Regulator(inflate_s=lag.get("inflate", 0.0), deflate_s=lag.get("deflate", 0.0))
     rail = Rail(

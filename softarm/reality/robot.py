@@ -29,6 +29,10 @@ class Truth:
     link_angles_rad: NDArray[np.float64]  # absolute angles of their chords [5]
 
 
+class UnstableError(RuntimeError):
+    """Numerical instability of the robot."""
+
+
 class Robot:
     """One robot with given imperfections; the same seed and calls give the same measurements bit for bit.
 
@@ -98,7 +102,7 @@ class Robot:
 
         Raises:
             ValueError: The time is NaN or infinity.
-            FloatingPointError: The robot's state has become NaN or infinity.
+            UnstableError: The robot's state has become NaN or infinity.
         """
         if not math.isfinite(t_s):
             raise ValueError(f"t_s is {t_s}; give a finite number of seconds")
@@ -142,12 +146,13 @@ class Robot:
     def _measure(self) -> float:
         """Take every measurement that is due and return the time of the next one."""
         cameras, gauge, encoder, now_s = self._cameras, self._gauge, self._encoder, self.t_s
+        if not np.isfinite(self.plant.data.qpos).all():
+            raise UnstableError(
+                f"the robot's state became NaN or infinite at {now_s:.3f} s; "
+                "use weaker imperfections or commands, or a heavier cart"
+            )
         if cameras.due_s <= now_s + 1e-9:
             ends, angles = self.plant.links()
-            if not np.isfinite(ends).all():
-                raise FloatingPointError(
-                    f"the robot's state became NaN or infinite at {now_s:.3f} s; use weaker imperfections or commands"
-                )
             cameras.expose(now_s, self.plant.cart_position_m, ends, angles)
         if gauge.due_s <= now_s + 1e-9:
             gauge.read(now_s, self._regulator.pressure_kpa)

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from softarm.common.quantity import UNITS
-from softarm.reality.parameters import GROUPS, Mocap, RobotParameters, of, of_model, table
-from softarm.reality.robot import Robot
-from softarm.schemas.model import Arm, Model
+from softarm.reality.parameters import GROUPS, Mocap, Rail, RobotParameters, of, of_model, table
+from softarm.reality.robot import Robot, UnstableError
+from softarm.schemas.model import Arm, Cart, Model
 from softarm.schemas.model import Arm as ModelArm
 
 FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]
@@ -45,6 +45,20 @@ def test_an_arm_of_other_than_five_links_is_refused() -> None:
         RobotParameters(body=short)
 
 
+def test_effects_that_the_robot_does_not_take_are_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"does not take the model's arm\.payload; allowed are pressure\.lag, .* --fault"
+    ):
+        of_model(Model(effects={"arm.payload": {"mass": 0.1}}))
+
+
+def test_a_cart_lighter_than_its_motor_has_no_backlash() -> None:
+    light = Cart(mass_kg=0.1)
+    with pytest.raises(ValueError, match=r"cart.mass_kg is 0.1; with backlash the motor is 0.1 kg of it: give more"):
+        RobotParameters(cart=light, rail=Rail(backlash_m=0.001))
+    Robot(RobotParameters(cart=light))
+
+
 def test_the_table_for_the_page_has_a_row_for_every_parameter() -> None:
     rows = table(*GROUPS).splitlines()[2:]
     assert [row.split("`")[1] for row in rows] == NAMES
@@ -65,11 +79,20 @@ def test_invalid_arguments_are_rejected_with_a_reason(use: Any, message: str) ->
         use()
 
 
-def test_an_unstable_body_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        RobotParameters(body=Arm(stiffness_nm_rad=(1e5,) * 5)),
+        RobotParameters(cart=Cart(mass_kg=0.05), rail=Rail(velocity_gain_n_s_m=300.0)),
+    ],
+)
+def test_an_unstable_body_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: RobotParameters
+) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file here
-    robot = Robot(RobotParameters(body=Arm(stiffness_nm_rad=(1e5,) * 5)))
+    robot = Robot(parameters)
     robot.command(0.0, 0.3, 10.0)
-    with pytest.raises(FloatingPointError, match=r"state became NaN or infinite at .* s; use weaker"):
+    with pytest.raises(UnstableError, match=r"state became NaN or infinite at .* s; use weaker"):
         robot.advance(1.0)
 
 
