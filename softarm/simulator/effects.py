@@ -34,6 +34,8 @@ REGISTRY: dict[str, Effect] = {effect.name: effect for effect in with_rivals(EFF
 def find(path: str) -> tuple[Effect, Parameter]:
     """Return the effect and the parameter of `stage.effect.parameter`. Raises EffectError if unknown."""
     name, _, parameter = path.rpartition(".")
+    if path in REGISTRY:
+        raise EffectError(Violation((path,), lambda: f"names no parameter; {path} has {_wanted(REGISTRY[path])}"))
     if name not in REGISTRY:
         raise EffectError(Violation((path,), partial(_unknown, name)))
     for known in REGISTRY[name].parameters:

@@ -79,9 +79,9 @@ def _checked(path: str, values: ArrayLike, robots: int) -> Array:
     array = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if array.shape not in ((1,), (robots,)):
         raise ValueError(f"{path} has shape {array.shape}; give a scalar or one entry a robot, ({robots},)")
-    bad = [float(number) for number in (array.min(), array.max()) if not parameter.admits(number)]
-    if bad:
-        raise EffectError(out_of_range(effect, parameter, bad[0]))
+    bad = array[~(((array >= parameter.low) & (array <= parameter.high)) | (array == parameter.also))]
+    if bad.size:
+        raise EffectError(out_of_range(effect, parameter, float(bad[0])))
     return array
 
 

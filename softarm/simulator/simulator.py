@@ -117,6 +117,7 @@ class Simulator:
         self._rows[:, self._at.shelf_y] = NOWHERE_M
         self._advance = kernel.advance if blocks < PARALLEL_BLOCKS else _advance_on_all_cores()
         self._given = layout.CART_GIVEN if fixed_base else 0
+        self._needed = 0
         self._overrides: dict[str, ArrayLike] = {}
         self.override(overrides or {})
         self.reset()
@@ -131,6 +132,7 @@ class Simulator:
             EffectError: for effects or values that the registry refuses.
             ValueError: for other shapes.
         """
+        before = self._needed | self._given
         self._overrides |= values
         self.effects = Effects(self.models, self._overrides, self.robots)
         packed = pack(self.models, self.effects).astype(self._real)
@@ -141,6 +143,7 @@ class Simulator:
         self._rows[:, : self._at.shelf_y] = packed[lanes].reshape(-1, width, packed.shape[1]).transpose(0, 2, 1)
         self._pressure_bias = self.effects.value("pressure.sensor_bias", "bias").astype(self._real)
         self._examine(packed)
+        self._begin(self._needed & ~before)
         self._located = False
 
     def place_shelf(self, edge_y_m: ArrayLike, board_z_m: ArrayLike, robots: ArrayLike | None = None) -> None:
@@ -192,6 +195,7 @@ class Simulator:
         self._rows[block, at.q + 1 : at.v, lane] = np.cumsum(angles, axis=1)
         self._rows[block, at.v + 1 : at.v + 1 + self.links, lane] = rates
         self._rows[block, at.pressure, lane] = pressure
+        self._rows[block, at.pressure_command, lane] = pressure
         self._rows[block, at.pressure_history : at.pressure_age, lane] = pressure[:, None]
         self._rows[block, at.pressure_acting, lane] = pressure
         self._located = False
@@ -219,11 +223,12 @@ class Simulator:
         Raises:
             ValueError: for other shapes or a duration that is not positive.
         """
-        self._command(self._at.cart_command, cart_velocity_m_s)
-        self._command(self._at.pressure_command, pressure_kpa)
         if late_s is not None:
+            self._begin(layout.PRESSURE & ~(self._needed | self._given))
             self._command(self._at.late, late_s)
             self._given |= layout.PRESSURE  # keeps the history of pressure commands
+        self._command(self._at.cart_command, cart_velocity_m_s)
+        self._command(self._at.pressure_command, pressure_kpa)
         self._run(self._advance, duration_s)
         if late_s is not None:
             self._rows[:, self._at.late] = 0.0
@@ -244,8 +249,10 @@ class Simulator:
     def take_over(self, other: "Simulator", robot: int = 0) -> None:
         """Copy the state and the pending commands of one robot of another simulator to every robot.
 
-        Parameters stay this simulator's own. Raises ValueError if the numbers of links differ.
+        Parameters stay this simulator's own. Raises ValueError for another number of links or an unknown robot.
         """
+        if not 0 <= robot < other.robots:
+            raise ValueError(f"robot is {robot}; the other simulator has 0 to {other.robots - 1}")
         if other.links != self.links:
             raise ValueError(
                 f"the other simulator's arms have {other.links} links, these have {self.links}: simulate the same arm"
@@ -376,6 +383,16 @@ class Simulator:
         if (self._rows[:, self._at.shelf_y] != NOWHERE_M).any():
             self._given |= layout.SHELF
         self._located = False
+
+    def _begin(self, parts: int) -> None:
+        """Set the state of parts that the kernel did not need before, so that the motion continues."""
+        at, rows = self._at, self._rows
+        if parts & layout.PRESSURE:
+            rows[:, at.pressure_history : at.pressure_age] = rows[:, at.pressure_command, None]
+            rows[:, at.pressure_acting] = rows[:, at.pressure_command]
+        if parts & layout.RAIL:
+            rows[:, at.lagged] = rows[:, at.rail_acting] * rows[:, at.rail_gain]
+            rows[:, at.ramped] = rows[:, at.reference] = rows[:, at.v]
 
     def _examine(self, packed: Array) -> None:
         """Find the kernel's parts and the rate that parameters [R, parameter] need."""

@@ -107,6 +107,8 @@ def test_every_robot_has_its_own_model() -> None:
         Simulator(models, overrides={"rail.delay.delay": [0.0, 0.1]})
     with pytest.raises(ValueError, match=r"arm.payload.mass: is 7; allowed 0 to 0.5 kg"):
         Simulator(models, overrides={"arm.payload.mass": [0.0, 0.1, 7.0]})
+    with pytest.raises(ValueError, match=r"pressure.ceiling.limit: is 5000; allowed"):
+        Simulator(models, overrides={"pressure.ceiling.limit": [10.0, 5000.0, np.inf]})
 
 
 SYMMETRIC = ("arm.coulomb_friction", "arm.drag", "arm.stiffening", "arm.creep", "rail.backlash")

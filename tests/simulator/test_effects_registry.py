@@ -96,6 +96,8 @@ def test_names_that_do_not_exist_are_refused_with_the_nearest() -> None:
             effects.find(path)
     with pytest.raises(EffectError, match=r"unknown effect; `python -m softarm\.simulator\.effects_page`"):
         effects.find("zzz")
+    with pytest.raises(EffectError, match=r"names no parameter; rail.delay has delay \(s\)"):
+        effects.find("rail.delay")
     with pytest.raises(EffectError, match="no parameters"):
         effects.find("observation.finite_difference.on")
     with pytest.raises(EffectError, match="unknown effect"):

@@ -48,6 +48,9 @@ def test_arms_of_another_number_of_links_are_not_taken_over() -> None:
     shorter = Arm(**{name: value[:4] for name, value in Arm() if isinstance(value, tuple)})
     with pytest.raises(ValueError, match="4 links"):
         Simulator().take_over(Simulator(Model(arm=shorter)))
+    for robot in (-1, 3):
+        with pytest.raises(ValueError, match=rf"robot is {robot}; the other simulator has 0 to 2"):
+            Simulator().take_over(Simulator(robots=3), robot)
 
 
 def test_robots_put_at_their_own_state_continue_unchanged() -> None:

@@ -1,5 +1,7 @@
 """Promises of a batch: robots are independent, no command breaks it, arrays belong to the caller."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -150,6 +152,26 @@ def test_scalars_and_arrays_are_the_same_command() -> None:
         states.append(state_of(simulator))
     np.testing.assert_array_equal(states[0], states[1])
     np.testing.assert_array_equal(states[0], states[2])
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        {"overrides": {"pressure.dead_time.delay": 0.1}},
+        {"overrides": {"rail.lag.time": 0.2}},
+        {"late_s": 0.01},
+    ],
+)
+def test_an_effect_that_begins_in_flight_continues_the_motion(begin: dict[str, Any]) -> None:
+    simulator = Simulator(SEED, 2)
+    for velocity_m_s in [0.0] * 60 + [0.5] * 9:
+        simulator.step(velocity_m_s, 8.0)
+    before = simulator.pressure_kpa, simulator.cart_velocity_m_s
+    simulator.override(begin.get("overrides", {}))
+    for _ in range(3):
+        simulator.step(0.5, 8.0, late_s=begin.get("late_s"))
+        np.testing.assert_allclose(simulator.pressure_kpa, before[0], atol=0.01)
+        np.testing.assert_allclose(simulator.cart_velocity_m_s, before[1], atol=0.02)
 
 
 def test_time_counts_from_the_last_full_reset() -> None:
