@@ -17,7 +17,6 @@ from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problem
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.service import Notifier
-from softarm.daemon.runtime.wakeup import PunctualSelector
 from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.tick import Controller
 from softarm.policies import trusted
@@ -60,7 +59,8 @@ log = logging.getLogger(__name__)
 
 PERIOD_NS = round(1e9 / CONTROL_RATE_HZ)
 # Time between waking up and the deadline: a rehearsal, then a busy wait, so that core and caches stay awake.
-AWAKE_NS = 2_500_000
+# epoll rounds its time-out up to a whole millisecond, so that 2 to 3 ms are left.
+AWAKE_NS = 3_000_000
 REHEARSAL_NS = 1_000_000  # left before the deadline; otherwise there is no rehearsal
 # Garbage is collected only if this much of the period is left.
 COLLECT_SLACK_NS = 15_000_000
@@ -110,8 +110,7 @@ class ControlLoop:
 
     def _main(self) -> None:
         realtime.outrank_own_threads(self._priority)
-        with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(PunctualSelector())) as runner:
-            runner.run(self._run())
+        asyncio.run(self._run())
 
     async def _run(self) -> None:
         try:
