@@ -76,15 +76,17 @@ class Loop:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
+    def tick(self) -> None:
+        """Answer all requests in the inbox."""
+        now_ns, posts = time.monotonic_ns(), self.inbox.take()
+        self.taken += posts
+        results = tuple(RequestResult(p.request.number, not self.refuse, self.refuse) for p in posts)
+        before = self.outputs
+        self.outputs = replace(before, t_ns=now_ns, tick=before.tick + 1, results=(*before.results, *results)[-32:])
+
     def _run(self) -> None:
         while not self._stop.wait(1 / 100):
-            posts = self.inbox.take()
-            self.taken += posts
-            results = tuple(RequestResult(p.request.number, not self.refuse, self.refuse) for p in posts)
-            before = self.outputs
-            self.outputs = replace(
-                before, t_ns=time.monotonic_ns(), tick=before.tick + 1, results=(*before.results, *results)[-32:]
-            )
+            self.tick()
 
     @contextmanager
     def running(self):
@@ -118,8 +120,8 @@ class Client:
 
 
 def context(loop: Loop, config: Config | None = None, **kwargs) -> ApiContext:
-    shared = {"policies": Shelf(), "problems": lambda: loop.problems} | kwargs
-    return ApiContext(config or Config(), loop.inbox, lambda: loop.outputs, **shared)
+    shared = {"policies": Shelf(), "problems": lambda: loop.problems, "snapshot": lambda: loop.outputs} | kwargs
+    return ApiContext(config or Config(), loop.inbox, **shared)
 
 
 @pytest.fixture

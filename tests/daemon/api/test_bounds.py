@@ -10,8 +10,7 @@ from dataclasses import replace
 import httpx
 import pytest
 
-from softarm.daemon.control.inbox import Inbox
-from softarm.daemon.control.records import EStop, Mode, Problems, RequestResult
+from softarm.daemon.control.records import EStop, Mode
 
 LOCAL = "http://127.0.0.1"
 JSON = {"Content-Type": "application/json"}
@@ -62,26 +61,17 @@ def test_a_stop_during_a_flood_is_confirmed(loop, app):
     assert {answer.status_code for answer in answers} == {200}
 
 
-class LateLook:
-    """Loop that answers at once, whose readers are delayed until the answer exists."""
+@pytest.mark.parametrize("path", ["/api/stop", "/api/arm"])
+def test_a_request_done_while_the_api_was_delayed_is_confirmed(stalled, app, client_of, monkeypatch, path):
+    monkeypatch.setattr("softarm.daemon.api.requests.ANSWER_S", 0.02)
 
-    def __init__(self, outputs):
-        self.inbox, self.problems, self._outputs = Inbox(), Problems(), outputs
-
-    @property
-    def outputs(self):
-        seen, posts = self._outputs, self.inbox.take()
-        if posts:
-            results = tuple(RequestResult(post.request.number, True) for post in posts)
-            self._outputs = replace(seen, results=results)
-            time.sleep(0.05)
+    def late_look():
+        seen = stalled.outputs
+        stalled.tick()
+        time.sleep(0.05)
         return seen
 
-
-@pytest.mark.parametrize("path", ["/api/stop", "/api/arm"])
-def test_a_request_done_while_the_api_was_delayed_is_confirmed(silent, app, client_of, monkeypatch, path):
-    monkeypatch.setattr("softarm.daemon.api.requests.ANSWER_S", 0.02)
-    assert client_of(app(LateLook(silent[1].outputs))).post(path).status_code == 200
+    assert client_of(app(stalled, snapshot=late_look)).post(path).status_code == 200
 
 
 def test_a_later_tick_with_the_stop_confirms_it_without_its_result(silent):
