@@ -45,27 +45,10 @@ def test_the_independent_drive_is_homed_by_its_own_method(outside: Any) -> None:
     assert outside.words.count(START) == 1
 
 
-def test_a_stop_request_brakes_and_disables(twin: Any) -> None:
+def test_a_failure_is_reported_and_the_drive_is_disabled(twin: Any) -> None:
     twin.drive.power_cycle()
-    with twin.session() as session, pytest.raises(DeviceError, match="a person interrupted it"):
-        session.home(0.05, 0.01, stop=lambda: twin.position_m < -0.02)
-    assert twin.words[-2:] == [HALT, OFF]
-    assert twin.drive.state is DriveState.READY
-    assert -0.025 < twin.position_m < -0.02
-    assert not twin.drive.reference.homed
-
-
-@pytest.mark.parametrize(
-    ("happens", "says"),
-    [
-        (lambda drive: drive.trip(0x8611), "E11 following error"),
-        (lambda drive: drive.reference.begin(0), "homing failed"),
-    ],
-)
-def test_a_failure_is_reported_and_the_drive_is_disabled(twin: Any, happens: Any, says: str) -> None:
-    twin.drive.power_cycle()
-    twin.at.append(lambda: twin.drive.reference.searching and twin.position_m < -0.01 and (happens(twin.drive) or True))
-    with twin.session() as session, pytest.raises(DeviceError, match=says):
+    twin.at.append(lambda: twin.position_m < -0.01 and (twin.drive.trip(0x8611) or True))
+    with twin.session() as session, pytest.raises(DeviceError, match="E11 following error"):
         session.home(0.05, 0.01)
     assert not twin.drive.in_operation
     assert set(twin.words[twin.words.index(START) + 1 :]) <= {HALT, OFF}
