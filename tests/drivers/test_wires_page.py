@@ -18,11 +18,12 @@ from softarm.drivers.rail.dryve import DryveRefusal, Entry
 from softarm.drivers.regulator import cobs, teensy
 from softarm.drivers.regulator.driver import Conversation
 from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome
-from softarm.drivers.twin.dryve import DryveDevice, DryveServer
+from softarm.drivers.twin.dryve import DryveDevice
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import BODY_NAMES, Pose
+from tests.drivers.rail.conftest import Drive, Server
 from tests.drivers.wires_page import PAGE, table, vectors
 
 
@@ -238,41 +239,24 @@ def test_each_controlword_leads_to_the_state_on_the_page(row: list[str]) -> None
         assert drive.state.value == row[2].split(" ", 1)[1]
 
 
-class RecordingDrive(DryveDevice):
-    """Drive that records its requests."""
-
-    def __init__(self) -> None:
-        super().__init__(RAIL)
-        self.asked: list[bytes] = []
-
-    def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.asked.append(telegram)
-        return super().answer(telegram, now_ns)
-
-    def undergo(self, event: str) -> None:
-        """Apply the event of a row without telegrams."""
-        if motion := re.fullmatch(r"\*the cart is at (\S+) m, moving at (\S+) m/s\*", event):
-            self.sense(*map(float, motion.groups()))
-        elif trip := re.fullmatch(r"\*the drive trips: (\w+)\*", event):
-            self.trip(number(trip[1]))
-        else:
-            assert event == "*a new connection*"
-
-
 def test_the_simulated_drive_answers_as_on_the_page() -> None:
-    drive = RecordingDrive()
+    drive = DryveDevice(RAIL)
     drive.sense(0.0, 0.0)
     for row in SESSION:
-        if not row.request:
-            drive.undergo(row.says)
-        else:
+        if row.request:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
+        elif motion := re.fullmatch(r"\*the cart is at (\S+) m, moving at (\S+) m/s\*", row.says):
+            drive.sense(*map(float, motion.groups()))
+        elif trip := re.fullmatch(r"\*the drive trips: (\w+)\*", row.says):
+            drive.trip(number(trip[1]))
+        else:
+            assert row.says == "*a new connection*"
 
 
 @pytest.mark.anyio
 async def test_the_driver_sends_the_pages_telegrams_and_no_others(until: Any, running: Any) -> None:
-    drive, faults = RecordingDrive(), Faults(lambda: 0)
-    server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
+    drive, faults = Drive(RAIL), Faults(lambda: 0)
+    server = Server("127.0.0.1", 0, drive, faults, lambda: 0)
     faults.start("rail_keeps_going")
     drive.sense(0.0, 0.0)
     await server.open()
@@ -297,9 +281,10 @@ async def test_the_driver_sends_the_pages_telegrams_and_no_others(until: Any, ru
             await fly(lambda: drive.state is DriveState.SWITCH_ON_DISABLED)
     finally:
         await server.close()
-    set_up = [row.request for row in EXCHANGES[:12]]
-    assert drive.asked[: len(set_up)] == set_up
-    assert {telegram[2:] for telegram in drive.asked} == {row.request[2:] for row in EXCHANGES}
+    sent = [request for request, _ in drive.requests]
+    shown = [dryve.decode_request(row.request) for row in EXCHANGES]
+    assert sent[:12] == shown[:12]
+    assert {request[1:] for request in sent} == {request[1:] for request in shown}
 
 
 # Motion capture
