@@ -55,28 +55,12 @@ def test_all_limits_and_their_sources_are_printed_on_request(check):
     assert result.stdout.endswith(f"{path}: valid; starts with policy 'hold'\n")
 
 
-@pytest.mark.parametrize(
-    ("text", "lines"),
-    [
-        (
-            "control:\n  policy: hodl\npolicies:\n  mine:\n    plugin: pid\n    options: {kpy: 1}\n",
-            (
-                ":4: policies.mine: plugin 'pid' has no option 'kpy'; did you mean 'kp_y'?",
-                ":2: control.policy: no policy 'hodl'; did you mean 'hold'?",
-            ),
-        ),
-        (
-            "control: {policy: hold}\ndrivers:\n  mocap:\n    driver: zenho\n",
-            (":4: drivers.mocap.driver 'zenho': no motion capture source 'zenho'; did you mean 'zenoh'?",),
-        ),
-        ("api:\n  host: 0.0.0.0\n  token_file: no/token\n", (":3: api.token_file no/token: cannot be read",)),
-    ],
-)
-def test_every_mistake_is_printed_with_its_line(check, text, lines):
-    path, result = check(text)
+def test_every_mistake_is_printed_with_its_line(check):
+    path, result = check("control:\n  policy: hodl\npolicies:\n  mine:\n    plugin: pid\n    options: {kpy: 1}\n")
     assert (result.exit_code, result.stdout) == (1, "")
-    for printed, start in zip(result.stderr.splitlines(), lines, strict=True):
-        assert printed.startswith(f"{path}{start}")
+    option, policy = result.stderr.splitlines()
+    assert option.startswith(f"{path}:4: policies.mine: plugin 'pid' has no option 'kpy'; did you mean 'kp_y'?")
+    assert policy.startswith(f"{path}:2: control.policy: no policy 'hodl'; did you mean 'hold'?")
 
 
 @pytest.mark.usefixtures("trial_here")

@@ -178,18 +178,10 @@ def of_configuration(path: Path | None) -> list[Finding]:
     return list(PARTS["configuration"](target))
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("limits: {rail: {margin: 1}}", "did you mean margin_m"),
-        ("api: {host: 0.0.0.0}", "token"),
-        ("drivers: {mocap: {driver: vicorn}}", "vicorn"),
-    ],
-)
-def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path, text, says):
-    (tmp_path / "arm.yaml").write_text(text)
+def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path):
+    (tmp_path / "arm.yaml").write_text("drivers: {mocap: {driver: zenho}}")
     (finding,) = of_configuration(tmp_path / "arm.yaml")
-    assert (finding.state, says in finding.figure) == (State.PROBLEM, True)
+    assert (finding.state, "did you mean 'zenoh'" in finding.figure) == (State.PROBLEM, True)
 
 
 def test_a_sound_configuration_has_no_problem_and_a_missing_one_a_warning(tmp_path):

@@ -100,8 +100,9 @@ def test_a_policy_that_fails_in_its_first_step_is_found(look, tmp_path):
 
 
 def test_one_mistake_hides_no_other(look, tmp_path, taken):
-    text = f"api: {{port: {taken}, view_token: x}}\ncontrol: {{rate_hz: 60, policy: raech}}\n"
+    text = f"api: {{port: {taken}, view_token: x, token_file: no/token}}\ncontrol: {{rate_hz: 60, policy: raech}}\n"
     text += f"limits: {{rail: {{latency_s: 0}}}}\nrecorder: {{directory: {tmp_path}/logs, keep_mb: 1}}\n"
+    text += "drivers: {mocap: {driver: zenho}}\n"
     reported = "\n".join(look(text).problems)
     for place, word in (
         (1, "api.view_token: unknown key"),
@@ -110,6 +111,8 @@ def test_one_mistake_hides_no_other(look, tmp_path, taken):
         (4, "recorder.keep_mb: is 1; allowed"),
         (2, "control.policy: no policy 'raech'; did you mean 'reach'?"),
         (1, f"api.port {taken}: cannot listen there"),
+        (1, "api.token_file no/token: cannot be read"),
+        (5, "drivers.mocap.driver 'zenho': no motion capture source 'zenho'; did you mean 'zenoh'?"),
     ):
         assert f"arm.yaml:{place}: {word}" in reported or f"arm.yaml:{place}: api.host 127.0.0.1, {word}" in reported
 
