@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import re
 import threading
 from collections.abc import AsyncIterator, Callable
 from typing import Any
@@ -81,30 +80,22 @@ async def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(
         )
 
 
-BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {
-    "NaN": ((1, 20, {"cart": (0.0, math.nan, 0.0)}), "cart holds NaN or infinity"),
-    "text": ((1, 20, {"cart": "abc"}), "could not convert"),
-    "no bodies": ((1, 20, None), "malformed"),
-    "a fraction of a frame": ((1.5, 20, POSES), "sequence must be an integer"),
-    "an old stamp": ((1, 10, POSES), "no newer than the last"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-async def test_an_invalid_frame_is_counted_and_reported(case: str, played: Any, clock: Any, until: Any) -> None:
-    bad, text = BAD[case]
+async def test_an_invalid_frame_is_counted_and_reported(played: Any, clock: Any, until: Any) -> None:
+    bad: tuple[Any, ...] = ((1.5, POSES), (1, None), (1, {"cart": "abc"}), (1, {"cart": (0.0, math.nan, 0.0)}))
 
     def source(frames: Frames) -> None:
         frames.put(0, 10, POSES)
-        frames.put(*bad)
+        frames.put(1, 10, POSES)
+        for sequence, bodies in bad:
+            frames.put(sequence, 20, bodies)
         frames.put(2, np.int64(30).item(), {name: np.array(pose) for name, pose in POSES.items()})
         _wait(frames)
 
     async with played(Scripted(source)) as device:
         await until(lambda: device.frames == 2)
-        assert device.malformed + device.misplaced == 1
+        assert (device.malformed, device.misplaced) == (4, 1)
         assert [frame.sequence for frame in device.read(clock())] == [0, 2]
-        assert re.search(text, device.problem() or "")
+        assert "cart holds NaN or infinity (0 oversized, 4 malformed, 1 misplaced" in (device.problem() or "")
         clock.advance(1.1)
         assert "no frame for 1.1 s" in (device.problem() or "")
 
