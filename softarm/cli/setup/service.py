@@ -45,7 +45,6 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
       sudo /opt/softarm/.venv/bin/softarm service install --uninstall
     """
     from softarm.daemon.install import here, plan
-    from softarm.daemon.install.steps import Keep
 
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,31}", user):
         raise click.BadParameter(
@@ -56,7 +55,7 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
     system = here.look(root)
     steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
     for step in steps:
-        click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step}")
+        click.echo(f"{'would ' if dry_run and step.kind != 'keep' else ''}{step.text}")
         if dry_run:
             click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
         else:
@@ -90,15 +89,13 @@ def _installing(system: "System", config_file: Path | None, user: str, dry_run: 
 
 def _print_next(system: "System", steps: "list[Step]", dry_run: bool, uninstall: bool) -> None:
     """Print the steps that remain for a person."""
-    from softarm.daemon.install.steps import Write
-
     if dry_run:
         click.echo("nothing was changed: --dry-run")
     elif uninstall or not system.is_this:
         click.echo("done")
     elif not system.booted:
         click.echo("done; systemd is not running: after the next boot, `systemctl enable --now softarmd`")
-    elif any(isinstance(step, Write) for step in steps):
+    elif any(step.kind == "write" for step in steps):
         click.echo("next: `systemctl restart softarmd` once the arm is disarmed; then `softarm doctor`")
     else:
         click.echo("nothing had to be changed")

@@ -10,7 +10,7 @@ from pathlib import Path
 from softarm.common.quantity import shown
 from softarm.common.revision import PACKAGE
 from softarm.daemon.config.configuration import differences
-from softarm.daemon.install.steps import Folder, Keep, Remove, Run, Step, Write
+from softarm.daemon.install.steps import Step, folder, keep, remove, run, write
 from softarm.schemas.config import Config
 
 UNIT, RULE = PACKAGE / "systemd" / "softarmd.service", PACKAGE / "systemd" / "99-softarm.rules"
@@ -49,10 +49,10 @@ def unit_text(command: tuple[str, ...], user: str, config: Config) -> str:
     text = _with(_with(text, "User", user), "Group", user)
     if "/ttyUSB" in os.path.realpath(config.drivers.regulator.port):  # a USB adapter instead of a Teensy
         text = text.replace("DeviceAllow=char-ttyACM rw\n", "DeviceAllow=char-ttyACM rw\nDeviceAllow=char-ttyUSB rw\n")
-    for folder in written_folders(config):
-        if not folder.is_relative_to(STATE):
+    for written in written_folders(config):
+        if not written.is_relative_to(STATE):
             text = text.replace(
-                "ProtectSystem=strict\n", f"ProtectSystem=strict\nReadWritePaths={_quoted(str(folder))}\n"
+                "ProtectSystem=strict\n", f"ProtectSystem=strict\nReadWritePaths={_quoted(str(written))}\n"
             )
     return text
 
@@ -122,72 +122,72 @@ def install(system: System, command: tuple[str, ...], user: str, wanted: Wanted)
     if system.is_this:
         yield from _user(system, user)
     config = wanted.installed or wanted.config
-    for folder in (STATE, *written_folders(config)):
-        if system.is_folder(path := system.place(folder)):
-            yield Keep(path, "its content stays")
+    for needed in (STATE, *written_folders(config)):
+        if system.is_folder(path := system.place(needed)):
+            yield keep(path, "its content stays")
         else:
-            yield Folder(path, user if system.is_this else None)
+            yield folder(path, user if system.is_this else None)
     yield from _configuration(system, wanted)
     unit = _file(system, UNIT_PATH, unit_text(command, user, config))
     rule = _file(system, RULE_PATH, RULE.read_text(encoding="utf-8"))
     yield from (unit, rule)
-    if system.is_this and isinstance(rule, Write):
-        yield from (Run(("udevadm", "control", "--reload")), Run(("udevadm", "trigger", "--subsystem-match=tty")))
+    if system.is_this and rule.kind == "write":
+        yield from (run("udevadm", "control", "--reload"), run("udevadm", "trigger", "--subsystem-match=tty"))
     if system.is_this and system.booted:
-        if isinstance(unit, Write):
-            yield Run(("systemctl", "daemon-reload"))
-        yield Run(("systemctl", "enable", "softarmd"))
+        if unit.kind == "write":
+            yield run("systemctl", "daemon-reload")
+        yield run("systemctl", "enable", "softarmd")
 
 
 def _user(system: System, user: str) -> Iterator[Step]:
     if GROUP not in system.groups:
-        yield Run(("groupadd", "--system", GROUP))
+        yield run("groupadd", "--system", GROUP)
     if user not in system.users:
         home = ("--home-dir", str(STATE), "--shell", "/usr/sbin/nologin")
-        yield Run(("useradd", "--system", "--user-group", *home, "--groups", GROUP, user))
+        yield run("useradd", "--system", "--user-group", *home, "--groups", GROUP, user)
     elif user not in system.members:
-        yield Run(("usermod", "--append", "--groups", GROUP, user))
+        yield run("usermod", "--append", "--groups", GROUP, user)
 
 
 def _configuration(system: System, wanted: Wanted) -> Iterator[Step]:
     """Keep an existing configuration; write a different requested one next to it."""
     path = system.place(CONFIGURATION)
     if wanted.installed is None:
-        yield Write(path, wanted.text, system.read(path))
+        yield write(path, wanted.text, system.read(path))
         return
     differing = differences(wanted.installed, wanted.config)
     different = [f"{key.name}: {_text(here)}, not {_text(new)}" for key, here, new in differing]
     if not different:
-        yield Keep(path, "it has the requested values" if wanted.asked_for else "it has the default values")
+        yield keep(path, "it has the requested values" if wanted.asked_for else "it has the default values")
     elif wanted.asked_for:
-        yield Keep(path, f"it was changed and stays; the requested one is written next to it: {'; '.join(different)}")
+        yield keep(path, f"it was changed and stays; the requested one is written next to it: {'; '.join(different)}")
         yield _file(system, CONFIGURATION.with_name(f"{path.name}.new"), wanted.text)
     else:
-        yield Keep(path, f"it was changed and stays: {'; '.join(different)}")
+        yield keep(path, f"it was changed and stays: {'; '.join(different)}")
 
 
 def _text(value: object) -> str:
     return str(value) if isinstance(value, dict) else shown(value)
 
 
-def _file(system: System, path: Path, text: str) -> Write | Keep:
+def _file(system: System, path: Path, text: str) -> Step:
     """Return a step that writes the file, or keeps it if it is up to date."""
     place = system.place(path)
     before = system.read(place)
-    return Keep(place, "it is up to date") if before == text else Write(place, text, before)
+    return keep(place, "it is up to date") if before == text else write(place, text, before)
 
 
 def uninstall(system: System, user: str) -> Iterator[Step]:
     """Yield the steps that remove unit and rule; configuration, logs and user stay."""
     if system.is_this and system.booted and system.read(UNIT_PATH) is not None:
-        yield Run(("systemctl", "disable", "--now", "softarmd"))
+        yield run("systemctl", "disable", "--now", "softarmd")
     removed = [path for path in (UNIT_PATH, RULE_PATH) if system.read(system.place(path)) is not None]
-    yield from (Remove(system.place(path)) for path in removed)
+    yield from (remove(system.place(path)) for path in removed)
     if system.is_this and system.booted and UNIT_PATH in removed:
-        yield Run(("systemctl", "daemon-reload"))
+        yield run("systemctl", "daemon-reload")
     if system.is_this and RULE_PATH in removed:
-        yield Run(("udevadm", "control", "--reload"))
+        yield run("udevadm", "control", "--reload")
     for path in (CONFIGURATION.parent, STATE):
-        yield Keep(system.place(path), f"configuration and logs stay; delete them with `rm -r {system.place(path)}`")
+        yield keep(system.place(path), f"configuration and logs stay; delete them with `rm -r {system.place(path)}`")
     if system.is_this and user in system.users:
-        yield Keep(STATE, f"the user {user} stays; delete it with `userdel {user}`")
+        yield keep(STATE, f"the user {user} stays; delete it with `userdel {user}`")

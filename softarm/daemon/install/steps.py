@@ -4,9 +4,9 @@ import difflib
 import os
 import shutil
 import subprocess
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from softarm.common import files
 
@@ -18,123 +18,77 @@ class StepError(Exception):
     """A failed step, with the cause and what to do."""
 
 
-class Step(ABC):
-    """A step of an installation; as text it is its summary in one line."""
+class Step(NamedTuple):
+    """A step of an installation, made by one of the functions below."""
 
-    __slots__ = ()
-
-    @abstractmethod
-    def __str__(self) -> str: ...
-
-    @property
-    def shown(self) -> list[str]:
-        """Return the details line by line, if there are any."""
-        return []
-
-    @abstractmethod
-    def carry_out(self) -> None:
-        """Carry out the step, or raise StepError."""
+    kind: str  # name of that function
+    text: str  # summary in one line
+    carry_out: Callable[[], None]  # raises StepError
+    shown: Sequence[str] = ()  # details line by line
 
 
-@dataclass(frozen=True, slots=True)
-class Write(Step):
-    """Write a text to a file."""
+def write(path: Path, text: str, before: str | None = None) -> Step:
+    """Return a step that writes a text to a file; `before` is the file's present text, None for a new file."""
 
-    path: Path
-    text: str
-    before: str | None = None  # present text; None for a new file
-
-    def __str__(self) -> str:
-        return f"{'write' if self.before is None else 'change'} {self.path}"
-
-    @property
-    def shown(self) -> list[str]:
-        """Return a new file's lines or a changed file's differences."""
-        if self.before is None:
-            return self.text.splitlines()
-        return list(
-            difflib.unified_diff(self.before.splitlines(), self.text.splitlines(), "now", "new", lineterm="", n=1)
-        )
-
-    def carry_out(self) -> None:
-        """Carry out the step, or raise StepError."""
+    def carry_out() -> None:
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            files.write_text(self.path, self.text)
-            self.path.chmod(0o644)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            files.write_text(path, text)
+            path.chmod(0o644)
         except OSError as error:
-            raise StepError(f"{self.path}: cannot be written ({error.strerror}); {ROOT}") from None
+            raise StepError(f"{path}: cannot be written ({error.strerror}); {ROOT}") from None
+
+    if before is None:
+        return Step("write", f"write {path}", carry_out, text.splitlines())
+    changes = difflib.unified_diff(before.splitlines(), text.splitlines(), "now", "new", lineterm="", n=1)
+    return Step("write", f"change {path}", carry_out, list(changes))
 
 
-@dataclass(frozen=True, slots=True)
-class Folder(Step):
-    """Create a folder for a user."""
+def folder(path: Path, owner: str | None) -> Step:
+    """Return a step that creates a folder, or keeps its content, for an owner; None for the installing user."""
 
-    path: Path
-    owner: str | None  # None for the installing user
-
-    def __str__(self) -> str:
-        return f"make the folder {self.path}" + (f" for {self.owner}" if self.owner else "")
-
-    def carry_out(self) -> None:
-        """Create the folder and keep its content, or raise StepError."""
+    def carry_out() -> None:
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            self.path.chmod(0o750)
-            if self.owner is not None:
-                shutil.chown(self.path, self.owner, self.owner)
+            path.mkdir(parents=True, exist_ok=True)
+            path.chmod(0o750)
+            if owner is not None:
+                shutil.chown(path, owner, owner)
         except (OSError, LookupError) as error:
-            raise StepError(f"{self.path}: cannot be made ({error}); {ROOT}") from None
+            raise StepError(f"{path}: cannot be made ({error}); {ROOT}") from None
+
+    return Step("folder", f"make the folder {path}" + (f" for {owner}" if owner else ""), carry_out)
 
 
-@dataclass(frozen=True, slots=True)
-class Remove(Step):
-    """Remove a file if it exists."""
+def remove(path: Path) -> Step:
+    """Return a step that removes a file if it exists."""
 
-    path: Path
-
-    def __str__(self) -> str:
-        return f"remove {self.path}"
-
-    def carry_out(self) -> None:
-        """Carry out the step, or raise StepError."""
+    def carry_out() -> None:
         try:
-            self.path.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
         except OSError as error:
-            raise StepError(f"{self.path}: cannot be removed ({error.strerror}); {ROOT}") from None
+            raise StepError(f"{path}: cannot be removed ({error.strerror}); {ROOT}") from None
+
+    return Step("remove", f"remove {path}", carry_out)
 
 
-@dataclass(frozen=True, slots=True)
-class Run(Step):
-    """Run a program of the system."""
+def run(*command: str) -> Step:
+    """Return a step that runs a program of the system; its error has the program's output."""
+    line = " ".join(command)
 
-    command: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return f"run {' '.join(self.command)}"
-
-    def carry_out(self) -> None:
-        """Run the program, or raise StepError with its output."""
+    def carry_out() -> None:
         path = os.pathsep.join((os.environ.get("PATH", ""), "/usr/sbin", "/sbin"))
         environment = os.environ | {"PATH": path}
         try:
-            subprocess.run(self.command, env=environment, capture_output=True, text=True, timeout=COMMAND_S, check=True)
+            subprocess.run(command, env=environment, capture_output=True, text=True, timeout=COMMAND_S, check=True)
         except (OSError, subprocess.SubprocessError) as error:
             cause: object = error
             if isinstance(error, subprocess.CalledProcessError):
                 cause = (error.stderr or error.stdout).strip() or f"exit code {error.returncode}"
-            raise StepError(f"{' '.join(self.command)}: {cause}; correct it, then install again") from None
+            raise StepError(f"{line}: {cause}; correct it, then install again") from None
+
+    return Step("run", f"run {line}", carry_out)
 
 
-@dataclass(frozen=True, slots=True)
-class Keep(Step):
-    """Keep a file or folder, for a stated reason."""
-
-    path: Path
-    why: str
-
-    def __str__(self) -> str:
-        return f"keep {self.path}: {self.why}"
-
-    def carry_out(self) -> None:
-        """Do nothing with the path."""
+def keep(path: Path, why: str) -> Step:
+    """Return a step that keeps a file or folder, for a stated reason."""
+    return Step("keep", f"keep {path}: {why}", lambda: None)
