@@ -66,11 +66,9 @@ class ZenohMocapSource(Reception):
     def _receive(self, sample: zenoh.Sample) -> None:
         """Check one sample; Zenoh's thread calls this for one sample at a time."""
         now_ns, size = self.clock(), len(sample.payload)
-        if size > mocap_payload.MAX_BYTES:
-            self.oversized += 1
-            self.complain(now_ns, f"a sample has {size} bytes, at most {mocap_payload.MAX_BYTES} are allowed")
-            return
         try:
+            if size > mocap_payload.MAX_BYTES:
+                raise ValueError(f"{size} bytes, at most {mocap_payload.MAX_BYTES} are allowed")
             mocap_payload.check_schema(str(sample.encoding))
             frame = mocap_payload.decode(sample.payload.to_bytes(), now_ns)
         except ValueError as error:

@@ -23,7 +23,7 @@ COMPLAINT_S = 1.0
 class Reception:
     """Buffer between the thread that receives frames and the control loop.
 
-    Counts `frames` (accepted), `oversized` (never parsed), `malformed` (not a frame) and `misplaced` (out of order).
+    Counts `frames` (accepted), `malformed` (not a frame) and `misplaced` (out of order).
     A frame stamped in the future is accepted: the failsafe rejects it and raises `mocap_clock`.
     A source overrides `_run`, which receives frames in a thread of its own until `_stopping` is set.
     """
@@ -37,7 +37,7 @@ class Reception:
             start: What to do when no frame has arrived.
             clock: Returns CLOCK_MONOTONIC, ns.
         """
-        self.frames = self.oversized = self.malformed = self.misplaced = 0
+        self.frames = self.malformed = self.misplaced = 0
         self.clock = clock
         self._place, self._remedy, self._start = place, remedy, start
         self._stopping = threading.Event()
@@ -95,7 +95,7 @@ class Reception:
         """Return the problem with the received samples, or None if there is none."""
         now_ns = self.clock()
         if self._complaint is not None and now_ns - self._complaint[0] < COMPLAINT_S * 1e9:
-            counts = f"{self.oversized} oversized, {self.malformed} malformed, {self.misplaced} misplaced so far"
+            counts = f"{self.malformed} malformed, {self.misplaced} misplaced so far"
             return self.describe("read", f"{self._complaint[1]} ({counts})", self._remedy)
         if self._last_frame_ns is None:
             return self.describe("read", "no frame yet", self._start)
