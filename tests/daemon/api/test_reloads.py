@@ -1,4 +1,4 @@
-"""Floods of page reloads, also of a stalled daemon: no growth, and a stop is accepted."""
+"""Ten thousand page reloads leave nothing behind, and a whole daemon shows the arm."""
 
 import asyncio
 import gc
