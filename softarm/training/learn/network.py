@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from softarm.common.quantity import shown
+from softarm.schemas.base import Strict
 from softarm.training.learn import lstm
 
 CLIP = 5.0  # normalised inputs beyond this are cut, as the seed does
@@ -69,6 +70,8 @@ Order = Literal["mlp-lstm", "lstm-mlp", "mlp"]
 class NetworkShape:
     """Sizes; the defaults are the seed's."""
 
+    __pydantic_config__ = Strict.model_config
+
     inputs: int = 10
     actions: int = 2
     mlp: tuple[int, ...] = (256, 128, 64)
@@ -81,7 +84,7 @@ class NetworkShape:
         if len(self.mlp) > LAYERS_MAX or not all(type(size) is int and 1 <= size <= SIZE_MAX for size in sizes):
             raise ValueError(
                 f"network sizes are {shown(', '.join(map(str, sizes)))}; allowed are 1 to {SIZE_MAX} each, and "
-                f"{LAYERS_MAX} layers of `mlp`; give smaller ones"
+                f"{LAYERS_MAX} layers of `mlp`; change them"
             )
         if self.order not in get_args(Order):
             raise ValueError(f"network.order is {self.order!r}; give one of {', '.join(get_args(Order))}")

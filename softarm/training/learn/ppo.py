@@ -13,11 +13,13 @@ from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
+from softarm.schemas.base import Strict
 from softarm.training.learn.inference import infer
 from softarm.training.learn.network import PolicyNetwork, RecurrentState
 from softarm.training.task.environment import Environment
@@ -35,21 +37,24 @@ class PpoConfig:
     Defaults are those of the seed ([P] SM-E), except for speed on a CPU (docs/training/training.md).
     """
 
-    horizon: int = 16
-    minibatches: int = 4
-    mini_epochs: int = 1
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    value_coefficient: float = 2.0
-    bounds_coefficient: float = 1e-4
-    bounds_limit: float = 1.1  # means beyond +- this are penalised
-    gradient_norm: float = 1.0
-    learning_rate: float = 3e-4
-    learning_rate_min: float = 1e-5
-    learning_rate_max: float = 3e-3
-    kl_target: float = 0.008
-    observation_noise: float = 0.0  # standard deviation on the normalised observation ([P] SM-F: 0.01)
+    __pydantic_config__ = Strict.model_config
+
+    horizon: Annotated[int, Field(ge=1)] = 16
+    minibatches: Annotated[int, Field(ge=1)] = 4
+    mini_epochs: Annotated[int, Field(ge=1)] = 1
+    gamma: Annotated[float, Field(ge=0, le=1)] = 0.99
+    gae_lambda: Annotated[float, Field(ge=0, le=1)] = 0.95
+    clip: Annotated[float, Field(gt=0)] = 0.2
+    value_coefficient: Annotated[float, Field(ge=0)] = 2.0
+    bounds_coefficient: Annotated[float, Field(ge=0)] = 1e-4
+    bounds_limit: Annotated[float, Field(ge=0)] = 1.1  # means beyond +- this are penalised
+    gradient_norm: Annotated[float, Field(gt=0)] = 1.0
+    learning_rate: Annotated[float, Field(gt=0, le=1)] = 3e-4
+    learning_rate_min: Annotated[float, Field(gt=0, le=1)] = 1e-5
+    learning_rate_max: Annotated[float, Field(gt=0, le=1)] = 3e-3
+    kl_target: Annotated[float, Field(gt=0)] = 0.008
+    # Standard deviation on the normalised observation ([P] SM-F: 0.01).
+    observation_noise: Annotated[float, Field(ge=0)] = 0.0
 
 
 class Rollout(NamedTuple):

@@ -3,15 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from pydantic import Field
 
 from softarm.common import files
 from softarm.common.plugins import PluginError
+from softarm.schemas.base import Strict
 from softarm.schemas.model import Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
+from softarm.simulator.pack import RATE_MIN_HZ
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.task import registry
@@ -20,34 +23,34 @@ from softarm.training.task.reach import ReachTask
 
 Settings = dict[str, str | float | int | bool | list[float] | None]
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+Products = Literal["float32", "bfloat16"]
+SEED_MAX = 2**32 - 1
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
     """Settings of a run; equal settings on one machine give equal runs."""
 
-    seed: int = 1
-    robots: int = 2048
-    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ
-    validate_every: int = 20  # iterations; a checkpoint is kept as often
-    validation_trials: int = 1536
-    averaging: float = 0.975  # share of the averaged weights that an iteration keeps, in the long run
-    patience: int = 0  # validations without improvement after which a run stops; 0: no limit
-    matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 if the processor has it
-    device: str = "cpu"  # device of the robots and the network, cpu or cuda
+    __pydantic_config__ = Strict.model_config
 
-    def __post_init__(self) -> None:
-        """Raise ValueError if the type of the matrix products is unknown."""
-        known = ("auto", *DTYPES)
-        if self.matrix_products not in known:
-            raise ValueError(f"run.matrix_products is {self.matrix_products!r}; give one of {', '.join(known)}")
+    seed: Annotated[int, Field(ge=0, le=SEED_MAX)] = 1
+    robots: Annotated[int, Field(ge=1)] = 2048
+    physics_rate_hz: Annotated[float, Field(ge=RATE_MIN_HZ)] = TRAINING_PHYSICS_RATE_HZ
+    validate_every: Annotated[int, Field(ge=1)] = 20  # iterations; a checkpoint is kept as often
+    validation_trials: Annotated[int, Field(ge=1)] = 1536
+    # Share of the averaged weights that an iteration keeps, in the long run.
+    averaging: Annotated[float, Field(ge=0, le=1)] = 0.975
+    # Validations without improvement after which a run stops; 0: no limit.
+    patience: Annotated[int, Field(ge=0)] = 0
+    matrix_products: Literal["auto", Products] = "auto"  # auto: bfloat16 if the processor has it
+    device: Literal["cpu", "cuda"] = "cpu"  # device of the robots and the network
 
-    def products_on(self, device: torch.device) -> str:
+    def products_on(self, device: torch.device) -> Products:
         """Return the type of the matrix products on a device, float32 or bfloat16."""
         return quick_products(device) if self.matrix_products == "auto" else self.matrix_products
 
 
-def quick_products(device: torch.device) -> str:
+def quick_products(device: torch.device) -> Products:
     """Return the type that `auto` selects: bfloat16 if the processor multiplies it in hardware, else float32."""
     return "bfloat16" if device.type == "cpu" and torch.cpu._is_avx512_bf16_supported() else "float32"
 

@@ -22,7 +22,7 @@ from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn import validation
 from softarm.training.learn.inference import actor, workers
 from softarm.training.learn.network import CLIP, PolicyNetwork
-from softarm.training.record.checkpoint import Settings, load_policy, task_of
+from softarm.training.record.checkpoint import CheckpointError, Settings, load_policy, task_of
 from softarm.training.record.curve import Iteration, validated
 from softarm.training.task.environment import environment_of
 from softarm.training.task.reach import ReachTask
@@ -169,7 +169,7 @@ def _vent(network: PolicyNetwork) -> None:
 def golden_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
     """Record a run of one robot to a typical target, which the exported file must reproduce.
 
-    `act` is a function from observations [1, N] to actions [1, 2].
+    `act` is a function from observations [1, N] to actions [1, 2]. Raises CheckpointError if an action is not finite.
     """
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=GOLDEN_STEPS + 1)
@@ -180,6 +180,11 @@ def golden_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
     for _ in range(GOLDEN_STEPS):
         inputs.append(tuple(observation[0].tolist()))
         action = act(observation)
+        if not np.isfinite(action).all():
+            raise CheckpointError(
+                f"the network's action is {action[0].tolist()} in the golden run; allowed are finite actions: the "
+                "training has diverged, train again with a smaller ppo.learning_rate"
+            )
         outputs.append(tuple(action[0].tolist()))
         observation = environment.step(action).observation
     return Golden(inputs=tuple(inputs), outputs=tuple(outputs))

@@ -3,17 +3,20 @@
 A recipe is a few lines of YAML; its `settings` have the names under which a policy's file records them.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from softarm.common.plugins import PluginError
 from softarm.common.words import did_you_mean
 from softarm.schemas.base import Strict
+from softarm.schemas.config import RailLimits
 from softarm.simulator import model_file
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
@@ -23,19 +26,13 @@ from softarm.training.task import registry
 from softarm.training.task.environment import Randomisation
 from softarm.training.task.reach import TASKS, ReachTask, ShelfTask
 
-Setting = bool | int | float | str | tuple[int, ...] | tuple[float, ...]
-# Settings that must lie above zero.
-POSITIVE = (
-    "task.episode_steps",
-    "task.rate_hz",
-    "run.robots",
-    "run.physics_rate_hz",
-    "run.validate_every",
-    "run.validation_trials",
-    "ppo.horizon",
-    "ppo.minibatches",
-    "ppo.mini_epochs",
-)
+# Settings with a place of their own -> what to do.
+ELSEWHERE = {
+    "run.seed": "give --seed, or the `seeds` of a sweep",
+    "task.name": "give another TASK, or the `task` of a recipe",
+    "network.inputs": "remove it: it follows from the task",
+    "network.actions": "remove it: it follows from the task",
+}
 
 PRESETS: dict[str, ReachTask] = TASKS | {
     "reach-robust": replace(TASKS["reach-wide"], name="reach-robust"),
@@ -69,12 +66,12 @@ class Recipe(Strict):
     model: str = "seed"  # a shipped name or a file
     frames: int = Field(5_000_000, ge=1)  # control steps of single robots
     # 'part.field' of task, run, ppo or network -> its value, e.g. network.order: mlp
-    settings: dict[str, Setting] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
     # 'stage.effect.parameter' of the effect registry -> lowest and highest value
     randomise: dict[str, tuple[float, float]] = Field(default_factory=dict)
     each_episode: bool = True  # draw a robot again for each of its episodes
 
-    def changed(self, model: Path | None, settings: Mapping[str, Setting | None]) -> "Recipe":
+    def changed(self, model: Path | None, settings: Mapping[str, Any]) -> "Recipe":
         """Return the recipe with changed values; None keeps a value."""
         given = {name: value for name, value in settings.items() if value is not None}
         return self.model_copy(
@@ -112,28 +109,32 @@ def named(name: str) -> Recipe:
 
 def prepare(recipe: Recipe, seed: int) -> Ingredients:
     """Replace names by objects. Raises ValueError with every invalid setting, or for an unknown task or effect."""
-    parts: dict[str, Any] = {
+    usual: dict[str, Any] = {
         "task": preset(recipe.task),
         "run": TrainingConfig(seed=seed),
         "ppo": PpoConfig(),
         "network": NetworkShape(),
     }
-    given: dict[str, dict[str, Setting]] = {part: {} for part in parts}
+    given: dict[str, dict[str, Any]] = {part: {} for part in usual}
     wrong = []
     for path, value in recipe.settings.items():
         part, _, name = path.partition(".")
-        if path == "run.seed":
-            wrong.append(f"run.seed is {value!r}; a recipe has no seed: give --seed, or the `seeds` of a sweep")
-        elif part not in parts:
-            wrong.append(f"{path}: there is no part {part!r}; settings begin with {', '.join(parts)}")
+        if path in ELSEWHERE:
+            wrong.append(f"{path} is {value!r}; a recipe has no such setting: {ELSEWHERE[path]}")
+        elif part not in usual:
+            wrong.append(f"{path}: there is no part {part!r}; settings begin with {', '.join(usual)}")
         else:
             given[part][name] = value
-    for part, usual in parts.items():
-        wrong += _problems(part, usual, given[part])
+    made = {}
+    for part, before in usual.items():
+        try:
+            made[part] = _changed(before, given[part])
+        except ValidationError as error:
+            wrong += (_problem(f"{part}.", before, each) for each in error.errors())
+    wrong += _conflicts(made)
     if wrong:
         raise ValueError("; ".join(wrong))
-    parts = {part: replace(usual, **given[part]) for part, usual in parts.items()}
-    return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
+    return Ingredients(**made, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
 
 
 def begin(recipe: Recipe, seed: int, out: Path, pool: Executor, resume: bool) -> Session:
@@ -144,27 +145,37 @@ def begin(recipe: Recipe, seed: int, out: Path, pool: Executor, resume: bool) ->
     return Session(task, run, ppo, out, pool, resume, model, name, randomisation, network)
 
 
-def _problems(part: str, usual: Any, given: Mapping[str, Any]) -> Iterator[str]:
-    """Yield why settings of a dataclass are refused: unknown, of another type or length, or not above zero."""
-    kinds = get_type_hints(type(usual))
-    known = {each.name for each in fields(usual)}
-    for name, value in given.items():
-        path = f"{part}.{name}"
-        if name not in known:
-            yield f"{path}: no such setting; {part} has {', '.join(sorted(known))}"
-        elif not _fits(value, before := getattr(usual, name), kinds[name]):
-            yield f"{path} is {value!r}; give a value like {before!r}"
-        elif path in POSITIVE and value <= 0:
-            yield f"{path} is {value!r}; give a number above 0, such as {before!r}"
+def _changed(before: Any, given: dict[str, Any]) -> Any:
+    """Return a dataclass with other values for some fields. Raises ValidationError."""
+    values = {each.name: getattr(before, each.name) for each in fields(before) if each.init}
+    # In strict JSON a list is a tuple, and a number must be a number (not "0.1", not true).
+    return TypeAdapter(type(before)).validate_json(json.dumps(values | given), strict=True)
 
 
-def _fits(value: object, before: object, kind: Any) -> bool:
-    """Return whether a value has the type of another, and its length where the type states one."""
-    if isinstance(before, tuple):
-        return isinstance(value, tuple) and (... in get_args(kind) or len(value) == len(before))
-    if type(before) is float:
-        return type(value) in (int, float)
-    return type(value) is type(before)
+def _problem(prefix: str, before: Any, error: ErrorDetails) -> str:
+    """Return an error of pydantic as a sentence with the setting, its value, the allowed ones and the remedy."""
+    said = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if not error["loc"]:
+        return f"{prefix[:-1]}: {said}"
+    name = str(error["loc"][0])
+    path = prefix + ".".join(map(str, error["loc"]))
+    if not hasattr(before, name):
+        return f"{path}: no such setting; {prefix[:-1]} has {', '.join(sorted(each.name for each in fields(before)))}"
+    return f"{path} is {error['input']!r}; allowed: {said}; give a value like {getattr(before, name)!r}"
+
+
+def _conflicts(made: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the conflicts between valid settings."""
+    if "task" in made:
+        try:
+            _ = made["task"].rail_limits
+        except ValidationError as error:
+            yield from (_problem("task.rail_", RailLimits(), each) for each in error.errors())
+    if {"run", "ppo"} <= made.keys() and (rest := made["run"].robots % made["ppo"].minibatches):
+        yield (
+            f"run.robots is {made['run'].robots}; allowed are multiples of ppo.minibatches, "
+            f"{made['ppo'].minibatches}; give {made['run'].robots - rest + made['ppo'].minibatches}"
+        )
 
 
 # Recipes of the policies known by name.

@@ -1,18 +1,30 @@
 """Reach and shelf task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from softarm.schemas import flights
+from softarm.schemas.base import Strict
 from softarm.schemas.config import RailLimits
 from softarm.schemas.policy import REACH_GOAL, SHELF_GOAL, Signal, TaskKind
 from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
 
 Array = NDArray[np.float32]
-Range = tuple[float, float]
+
+
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError("a lower number and then a higher one")
+    return ends
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_ordered)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Starts(NamedTuple):
@@ -51,6 +63,7 @@ CLAMP_KEYS = (
 class ReachTask:
     """Swing the tip to a target in free space. The defaults are the seed's training range ([P] SM-E)."""
 
+    __pydantic_config__ = Strict.model_config
     goal: ClassVar[tuple[Signal, ...]] = REACH_GOAL  # at the end of an observation
     kind: ClassVar[TaskKind] = "reach"  # in a policy's file
 
@@ -58,18 +71,19 @@ class ReachTask:
     target_y_m: Range = (-0.4, 0.0)
     target_z_m: Range = (0.55, flights.TRAINED_Z_MAX_M)
     cart_start_m: Range = (-0.025, RAIL_LIMIT_M)  # [C]
-    joint_start_deg: float = 10.0  # uniform within +- this [C]
+    joint_start_deg: NotNegative = 10.0  # uniform within +- this [C]
     pressure_start_kpa: Range = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)
-    vented_starts: float = 0.5  # share of the starts without pressure; [C] keeps the last episode's
-    success_radius_m: float = 0.04
-    episode_steps: int = 100
-    rate_hz: float = float(CONTROL_RATE_HZ)
-    rail_limit_m: float = RAIL_LIMIT_M  # an episode ends beyond it
+    # Share of the starts without pressure; [C] keeps the last episode's.
+    vented_starts: Annotated[float, Field(ge=0, le=1)] = 0.5
+    success_radius_m: Positive = 0.04
+    episode_steps: Annotated[int, Field(ge=1)] = 100
+    rate_hz: Annotated[float, Field(ge=CONTROL_RATE_HZ, le=CONTROL_RATE_HZ)] = float(CONTROL_RATE_HZ)
+    rail_limit_m: Positive = RAIL_LIMIT_M  # an episode ends beyond it
     success_reward: float = 1000.0
     speed_reward: float = 0.1  # per m/s of the tip
     rail_penalty: float = -100.0
     reward_scale: float = 0.01  # [C]
-    action_noise: float = 0.001  # standard deviation on the +-1 action ([P] SM-E)
+    action_noise: NotNegative = 0.001  # standard deviation on the +-1 action ([P] SM-E)
     # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
     rail_guard: bool = True
     # Parameters of that clamp, as in the daemon's limits.rail (softarm.schemas.config.RailLimits).
@@ -135,7 +149,7 @@ class ShelfTask(ReachTask):
     target_z_m: Range = flights.SHELF_Z_M
     target_depth_m: Range = flights.SHELF_DEPTH_M  # behind the shelf's front edge; negative: before it
     board_below_m: float = flights.BOARD_BELOW_M  # from the target down to the lower board's top [C]
-    action_noise: float = 0.01  # [C]
+    action_noise: NotNegative = 0.01  # [C]
 
     def sample_depths(self, rng: np.random.Generator, count: int) -> Array:
         """Draw depths in metres, float32 [count], uniform over the range."""

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from softarm.common import plugins
 from softarm.common.plugins import PluginError
 from softarm.training.task.reach import ReachTask, ShelfTask
@@ -34,6 +36,7 @@ def load(name: str) -> ReachTask:
             raise PluginError(
                 f"it is a {type(task).__name__}, not derived from ReachTask; see docs/policies/plugins.md"
             )
+        TypeAdapter(type(task)).rebuild()  # raises for a field whose type cannot be checked
         for field in fields(task):
             _check_recordable(field.name, getattr(task, field.name))
         return replace(task, name=name)

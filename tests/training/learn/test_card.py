@@ -51,7 +51,7 @@ def test_a_flight_on_a_card_equals_that_of_the_cpu(pool):
     torch.testing.assert_close(*(torch.from_numpy(each.closest_m) for each in flown), atol=2e-3, rtol=0.0)
 
 
-@pytest.mark.parametrize(("name", "sentence"), [("tpu", "give one of cpu, cuda"), ("cuda", "sees no such card here")])
+@pytest.mark.parametrize(("name", "sentence"), [("tpu", "allowed: 'cpu'"), ("cuda", "sees no such card here")])
 def test_a_missing_device_is_refused(monkeypatch, tmp_path, name, sentence, pool):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     recipe = RECIPES["reach"].model_copy(update={"settings": {"run.device": name}})

@@ -192,6 +192,14 @@ def test_a_run_ends_after_validations_without_improvement(tmp_path, pool):
     assert max(validated[-2:]) <= max(validated[:-2])
 
 
+def test_a_diverged_network_is_not_exported(finished, tmp_path):
+    saved = checkpoint.load(finished.out / "best.pt")
+    saved["average"]["mean_head.bias"].fill_(torch.nan)
+    checkpoint.save(tmp_path / "best.pt", saved)
+    with pytest.raises(CheckpointError, match=r"the network's action is \[nan, nan\] in the golden run; allowed"):
+        export_checkpoint(tmp_path / "best.pt", tmp_path / "out.onnx")
+
+
 def test_a_damaged_checkpoint_is_refused(tmp_path):
     path = tmp_path / "broken.pt"
     path.write_bytes(b"not a checkpoint")

@@ -94,19 +94,38 @@ def test_the_table_has_mean_and_spread_over_seeds():
     ]
 
 
+SETTINGS = {
+    "run.robots: many": "run.robots is 'many'; allowed: a valid integer; give a value like 2048",
+    "run.robots: true": "run.robots is True; allowed: a valid integer; give",
+    "run.robots: 10": "run.robots is 10; allowed are multiples of ppo.minibatches, 4; give 12",
+    "run.validate_every: 0": "is 0; allowed: greater than or equal to 1; give a value like 20",
+    "run.matrix_products: fp16": "is 'fp16'; allowed: 'auto', 'float32' or 'bfloat16'; give",
+    "run.device: tpu": "run.device is 'tpu'; allowed: 'cpu' or 'cuda'; give a value like 'cpu'",
+    "run.physics_rate_hz: 50": "is 50; allowed: greater than or equal to 120; give",
+    "run.patience: -1": "is -1; allowed: greater than or equal to 0; give",
+    "run.averaging: 2": "is 2; allowed: less than or equal to 1; give",
+    "run.seed: 7": "run.seed is 7; a recipe has no such setting: give --seed",
+    "task.name: ../x": "task.name is '../x'; a recipe has no such setting: give another TASK",
+    "task.target_y_m: [0, 0, 0]": "give a value like (-0.4, 0.0)",
+    "task.target_y_m: [0, -0.4]": "is [0, -0.4]; allowed: a lower number and then a higher one; give",
+    "task.rate_hz: 50": "task.rate_hz is 50; allowed: less than or equal to 30; give a value like 30.0",
+    "task.success_radius_m: -1": "is -1; allowed: greater than 0; give a value like 0.04",
+    "task.rail_braking_m_s2: -1": "task.rail_braking_m_s2 is -1.0; allowed: greater than 0; give a value like 1.7",
+    "network.ordr: mlp": "network.ordr: no such setting; network has",
+    "network.actions: 5": "network.actions is 5; a recipe has no such setting: remove it",
+    "network.mlp: [64.5]": "network.mlp.0 is 64.5; allowed: a valid integer; give a value like (256, 128, 64)",
+    "network.mlp: [-1]": "network sizes are '10, 2, -1, 256'; allowed are 1 to 4096 each",
+    "ppo.learning_rate: 1e30": "is 1e+30; allowed: less than or equal to 1; give a value like 0.0003",
+    "ppo.clip: text": "ppo.clip is 'text'; allowed: a valid number; give a value like 0.2",
+}
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        *((f"{{seeds: [1], runs: {{a: {{settings: {{{setting}}}}}}}}}", words) for setting, words in SETTINGS.items()),
         ("seeds: [1]", "runs"),
         ("{seeds: [1], runs: {a: {task: fly}}}", "no task 'fly'"),
-        ("{seeds: [1], runs: {a: {settings: {network.ordr: mlp}}}}", "network.ordr: no such setting; network has"),
-        ("{seeds: [1], runs: {a: {settings: {run.robots: many}}}}", "run.robots is 'many'; give a value like 2048"),
-        ("{seeds: [1], runs: {a: {settings: {run.robots: true}}}}", "run.robots is True; give a value like 2048"),
-        ("{seeds: [1], runs: {a: {settings: {task.target_y_m: [0, 0, 0]}}}}", "give a value like (-0.4, 0.0)"),
-        ("{seeds: [1], runs: {a: {settings: {run.validate_every: 0}}}}", "give a number above 0, such as 20"),
-        ("{seeds: [1], runs: {a: {settings: {task.rate_hz: 0.0}}}}", "give a number above 0, such as 30.0"),
-        ("{seeds: [1], runs: {a: {settings: {run.matrix_products: fp16}}}}", "give one of auto, float32, bfloat16"),
-        ("{seeds: [1], runs: {a: {settings: {run.seed: 7}}}}", "run.seed is 7; a recipe has no seed: give --seed"),
         ("{seeds: [-1], runs: {a: {}}}", "seeds"),
         ("{seeds: [1], runs: {a: {randomise: {arm.payload.mass: [0, 9]}}}}", "arm.payload"),
         ("{seeds: [1], runs: {a: {model: no-dely}}}", "did you mean no-delay"),
@@ -135,7 +154,7 @@ def test_every_problem_of_a_sweep_is_stated_once(tmp_path):
         sweep.load(path)
     both, like, _ = str(caught.value).splitlines()
     assert "runs.a, b: run.x: no such setting" in both
-    assert "; ppo.horizon is 0; give a number above 0" in both
+    assert "; ppo.horizon is 0; allowed: greater than or equal to 1; give" in both
     assert like.startswith("runs.c: like is 'x'")
 
 

@@ -44,6 +44,10 @@ NEAR = """
     class Unrecordable(ReachTask):
         extra: dict = field(default_factory=dict)
 
+    @dataclass(frozen=True)
+    class Untyped(ReachTask):
+        extra: "Missing" = 1.0
+
     class Stranger:
         pass
 """
@@ -51,7 +55,7 @@ NEAR = """
 
 @pytest.fixture
 def near(install):
-    names = {"newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger"}
+    names = {"newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger", "untyped": "Untyped"}
     install("tasks_of_theirs", NEAR, "softarm.tasks", near="Near", high="high", sloped="sloped", **names)
 
 
@@ -72,6 +76,7 @@ def test_a_task_has_the_name_of_its_entry_point(near):
         ("nere", r"no task 'nere'; did you mean 'near'\?"),
         ("newer", "written for interface 2, this software speaks 1"),
         ("unrecordable", r"its field extra is \{\}; allowed are numbers, texts"),
+        ("untyped", "name 'Missing' is not defined"),
         ("stranger", "it is a Stranger, not derived from ReachTask"),
     ],
 )
