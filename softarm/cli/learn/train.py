@@ -21,7 +21,7 @@ SHORT = 0.1  # share of the recipe's frames below which a policy is not evaluate
 
 @click.command()
 @click.argument("task", required=False)
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the run.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True, help="Seed of the run.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after this number of steps, summed over robots.")
 @click.option("--minutes", type=Number(min=0, min_open=True), help="Stop after this time.")
 @click.option(

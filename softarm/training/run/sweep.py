@@ -5,6 +5,7 @@ their checkpoints.
 """
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -22,12 +23,15 @@ from softarm.common.yaml_schema import fit
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import workers
+from softarm.training.record.checkpoint import SEED_MAX
 from softarm.training.run import recipe as recipes
 from softarm.training.run import report
 from softarm.training.run.recipe import RECIPES, Recipe
 
 RESULT = "result.json"
-# Options of `softarm train` for a single run, with the equivalent in a sweep's file.
+# Options of `softarm train` that a sweep uses.
+ALLOWED = ("--sweep", "--out", "--workers", "--ray")
+# Options for a single run, with the equivalent in a sweep's file.
 SINGLE = {
     "TASK": "task: reach",
     "--seed": "seeds: [1]",
@@ -38,6 +42,7 @@ SINGLE = {
     "--model": "model: no-delay",
     "--resume": "not needed: a sweep resumes by itself",
 }
+NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")  # of a run and its folder
 EXAMPLE = "{seeds: [1, 2], base: {task: reach, frames: 3000000}, runs: {full: {}, no-delay: {model: no-delay}}}"
 
 
@@ -51,12 +56,14 @@ class Sweep(Strict):
     A run with `like: NAME` starts from the recipe of that shipped policy.
     """
 
-    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
+    seeds: tuple[Annotated[int, Field(ge=0, le=SEED_MAX)], ...] = Field(min_length=1)
     base: dict[str, Any] = Field(default_factory=dict)
     runs: dict[str, dict[str, Any] | None] = Field(min_length=1)
 
     def recipe(self, name: str) -> Recipe:
         """Return the recipe of a run; its settings and randomise extend those of the base. Raises ValueError."""
+        if not NAME.fullmatch(name):
+            raise ValueError(f"the name is {name!r}; allowed are letters, digits and _.+-, a letter or digit first")
         lines = _merged(self.base, self.runs[name] or {})
         if (like := lines.pop("like", None)) is not None:
             if like not in tuple(RECIPES):  # `like` may be unhashable
@@ -67,8 +74,12 @@ class Sweep(Strict):
 
 def refuse_beside(options: Iterable[str]) -> None:
     """Check that no option of a single run is given with a sweep's file. Raises SweepError."""
-    if wrong := [f"{option} ({SINGLE[option]})" for option in options if option in SINGLE]:
-        raise SweepError(f"{', '.join(wrong)}: not allowed with --sweep; write it to the sweep's file as in brackets")
+    wrong = [f"{each} ({SINGLE[each]})" if each in SINGLE else each for each in options if each not in ALLOWED]
+    if wrong:
+        raise SweepError(
+            f"{', '.join(wrong)}: not allowed with --sweep; leave it out, and write to the sweep's file what stands in "
+            "brackets"
+        )
 
 
 class Run(NamedTuple):

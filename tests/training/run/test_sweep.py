@@ -55,10 +55,10 @@ def test_a_restarted_sweep_skips_finished_runs(file, tmp_path, pool):
 
 def test_options_of_a_single_run_are_refused_for_a_sweep(file, tmp_path):
     out = ["--out", str(tmp_path / "out")]
-    beside = ["reach", "--seed", "1", "--robots", "16", "--device", "cpu", "--resume"]
+    beside = ["reach", "--seed", "1", "--robots", "16", "--device", "cpu", "--resume", "--from", "dataset"]
     result = invoke("train", "--sweep", file, *out, *beside)
     assert result.exit_code == 1
-    for part in ("TASK", "--seed", "--robots", "--device", "--resume", "seeds: [1]", "run.robots"):
+    for part in ("TASK", "--seed", "--robots", "--device", "--resume", "--from", "seeds: [1]", "run.robots"):
         assert part in result.output
     assert "--frames" not in result.output  # was not given
     assert "--out" not in result.output
@@ -127,6 +127,9 @@ SETTINGS = {
         ("seeds: [1]", "runs"),
         ("{seeds: [1], runs: {a: {task: fly}}}", "no task 'fly'"),
         ("{seeds: [-1], runs: {a: {}}}", "seeds"),
+        (f"{{seeds: [{2**32}], runs: {{a: {{}}}}}}", "seeds.0: is 4294967296; allowed 0 to"),
+        ("{seeds: [1], runs: {../a: {}}}", "the name is '../a'; allowed are letters"),
+        ("{seeds: [1], runs: {a/b: {}}}", "the name is 'a/b'; allowed are letters"),
         ("{seeds: [1], runs: {a: {randomise: {arm.payload.mass: [0, 9]}}}}", "arm.payload"),
         ("{seeds: [1], runs: {a: {model: no-dely}}}", "did you mean no-delay"),
         ("{seeds: [1], runs: {a: {like: fly}}}", "give one of reach"),
