@@ -157,5 +157,5 @@ def _train_sweep(file: Path, out: Path, workers: Workers) -> None:
 
 def _left(folder: Path) -> str:
     if not (folder / "latest.pt").exists():
-        return f"no checkpoint yet; {folder} may be deleted"
+        return "no checkpoint was written yet; start again"
     return f"the newest checkpoint is in {folder}; the same command with --resume continues from it"
