@@ -189,8 +189,8 @@ class CloningSession(Session):
         frames = sum(len(episode.action) for episode in episodes)
         every = max(1, round(FRAMES / VALIDATIONS / max(1, frames)))
         run = replace(run, robots=1, validate_every=every, patience=run.patience or PATIENCE)
-        model, name = model_file.load(recipe.model), Path(recipe.model).stem
-        super().__init__(within(task, episodes), run, ppo, out, pool, resume, model, name, randomisation, network)
+        model, ranged = model_file.load(recipe.model), within(task, episodes)
+        super().__init__(ranged, run, ppo, out, pool, resume, model, recipe.model_name, randomisation, network)
 
     def _learner(self, environment: Environment | TensorEnvironment, dtype: torch.dtype) -> Cloner:
         self.settings |= flat(clone=self._cloning)

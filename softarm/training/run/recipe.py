@@ -71,6 +71,12 @@ class Recipe(Strict):
     randomise: dict[str, tuple[float, float]] = Field(default_factory=dict)
     each_episode: bool = True  # draw a robot again for each of its episodes
 
+    @property
+    def model_name(self) -> str:
+        """The model's shipped name, or the name of its file: the whole path where a shipped model has that name."""
+        name = Path(self.model).stem
+        return self.model if name in model_file.shipped() else name
+
     def changed(self, model: Path | None, settings: Mapping[str, Any]) -> "Recipe":
         """Return the recipe with changed values; None keeps a value."""
         given = {name: value for name, value in settings.items() if value is not None}
@@ -141,8 +147,7 @@ def begin(recipe: Recipe, seed: int, out: Path, pool: Executor, resume: bool) ->
     """Create the session of a recipe. Raises ValueError, ModelFileError or CheckpointError."""
     parts, model = prepare(recipe, seed), model_file.load(recipe.model)
     task, run, ppo, network, randomisation = parts
-    name = Path(recipe.model).stem
-    return Session(task, run, ppo, out, pool, resume, model, name, randomisation, network)
+    return Session(task, run, ppo, out, pool, resume, model, recipe.model_name, randomisation, network)
 
 
 def _changed(before: Any, given: dict[str, Any]) -> Any:

@@ -184,6 +184,14 @@ def test_settings_have_the_names_of_the_policys_file(tmp_path, pool):
     assert session.settings["randomise.ranges.arm.payload.mass"] == [0.0, 0.02]
 
 
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [("seed", "seed"), ("no-delay", "no-delay"), ("mine/seed.yaml", "mine/seed.yaml"), ("m.yaml", "m")],
+)
+def test_a_model_file_is_not_reported_as_a_shipped_model(model, name):
+    assert Recipe(model=model).model_name == name
+
+
 def test_a_run_on_a_cluster_takes_its_files_and_a_graphics_card_along(file, monkeypatch):
     asked = []
     monkeypatch.setattr(sweep.batch, "run", lambda text, work, *_, **__: asked.append(work) or Batch({}, {}))
