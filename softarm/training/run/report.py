@@ -1,5 +1,7 @@
 """Report of a finished run: report.html, tip_paths.png and the last lines of `softarm train`."""
 
+import json
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -277,8 +279,9 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     yield f"  {tested.sentence}"
     path = write(session, tested)
     yield f"  {path.name}: the curves and the tip's paths at these trials, also in tip_paths.png"
+    folder = shlex.quote(str(session.out))
     if session.events.fault is None:
-        yield f"  tensorboard/: see it with `tensorboard --logdir {session.out}`"
+        yield f"  tensorboard/: see it with `tensorboard --logdir {folder}`"
     # A missing package was reported before the run.
     elif session.events.fault != curve.tensorboard_missing():
         yield f"  {session.events.fault}"
@@ -286,5 +289,6 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     shipped = f" {name}" if (MODELS / f"{name}.onnx").is_file() else ""
     test = " --test shelf" if isinstance(session.task, ShelfTask) else ""
     yield "Next: fly it through the daemon's own tick, and give it a name for the daemon:"
-    yield f"  softarm evaluate {session.out}{shipped}{test}"
-    yield f"  echo '{{policies: {{my-{name}: {{plugin: onnx, options: {{model: {policy}}}}}}}}}' > mine.yaml"
+    yield f"  softarm evaluate {folder}{shipped}{test}"
+    mine = {"policies": {f"my-{name}": {"plugin": "onnx", "options": {"model": str(policy)}}}}
+    yield f"  echo {shlex.quote(json.dumps(mine))} > mine.yaml"

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import shlex
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from softarm.policies.onnx_policy import OnnxPolicy
@@ -236,11 +239,14 @@ def test_the_validation_set_contains_no_test_target():
 @pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_the_commands_train_and_export(tmp_path, monkeypatch):
     monkeypatch.setitem(recipe.RECIPES, "reach", recipe.RECIPES["reach"].model_copy(update={"frames": 256}))
-    out = tmp_path / "run"
+    out = tmp_path / "it's a run"
     arguments = ["train", "reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
     result = invoke(*arguments)
     assert result.exit_code == 0, result.output
-    assert f"softarm evaluate {out} reach" in result.output
+    assert f"softarm evaluate {shlex.quote(str(out))} reach" in result.output
+    written = subprocess.run(result.output.splitlines()[-1].partition(" > ")[0], shell=True, capture_output=True)
+    options = yaml.safe_load(written.stdout)["policies"]["my-reach"]["options"]
+    assert options == {"model": str(out / "reach.onnx")}
     assert "report.html" in result.output
     for name in ("reach.onnx", "report.html", "tip_paths.png", "tensorboard"):
         assert (out / name).exists()
