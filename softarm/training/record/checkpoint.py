@@ -1,6 +1,6 @@
 """Settings of a training run, and checkpoints: files from which a run is resumed or a policy exported."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -105,8 +105,11 @@ def save(path: Path, content: dict[str, Any]) -> None:
         torch.save({"format": FORMAT, **content}, file)
 
 
-def load(path: Path) -> dict[str, Any]:
-    """Read tensors and plain values without executing anything in the file. Raises CheckpointError."""
+def load(path: Path, needed: Set[str] = frozenset()) -> dict[str, Any]:
+    """Read tensors and plain values without executing anything in the file.
+
+    Raises CheckpointError, also if the file lacks a needed key.
+    """
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint; `softarm train` writes latest.pt and best.pt to --out")
     try:
@@ -116,15 +119,17 @@ def load(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a checkpoint ({reason}); give a .pt file of `softarm train`") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CheckpointError(f"{path}: not a checkpoint of format {FORMAT}; train again with this version")
+    if missing := needed - content.keys():
+        raise CheckpointError(
+            f"{path}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`: latest.pt to resume, "
+            "latest.pt or best.pt for `softarm dev export`"
+        )
     return content
 
 
 def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
     """Return the network of a checkpoint and the whole content of the file. Raises CheckpointError."""
-    saved = load(source)
-    missing = {"settings", "task", "seed", "curve", "average"} - saved.keys()
-    if missing:
-        raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
+    saved = load(source, {"settings", "task", "seed", "curve", "average"})
     try:
         network = PolicyNetwork(NetworkShape(**saved.get("network", {})))
         network.load_state_dict(saved["average"])

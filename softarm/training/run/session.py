@@ -26,6 +26,7 @@ from softarm.training.task.tensor_environment import TensorEnvironment, environm
 
 # The average spans at most a tenth of a run's age, so that untrained weights are soon forgotten.
 YOUNG = 10
+RESUMED = frozenset({"settings", "learner", "average", "frames", "seconds", "curve"})  # keys of latest.pt
 
 
 class Learner(Protocol):
@@ -77,9 +78,11 @@ class Session:
             ValueError: The device is not available.
         """
         self.task, self.config, self.ppo, self.out, self.pool = task, config, ppo, out, pool
-        saved = checkpoint.load(out / "latest.pt") if resume else None
+        saved = checkpoint.load(out / "latest.pt", RESUMED) if resume else None
         device = device_named(config.device)
         products = config.products_on(device)
+        if saved is not None and config.matrix_products == "auto":
+            products = saved["settings"].get("run.matrix_products", products)
         self.model, robots = model or Model(), randomisation or Randomisation()
         rate_hz = config.physics_rate_hz
         environment = environment_on(device, task, config.robots, config.seed, self.model, rate_hz, robots)

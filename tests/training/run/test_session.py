@@ -184,6 +184,20 @@ def test_other_settings_cannot_resume_a_run(finished, tmp_path, pool):
         session(tmp_path, pool, resume=True)
 
 
+def test_a_run_is_resumed_with_its_matrix_products_on_another_processor(finished, tmp_path, pool):
+    """`auto` selects by the processor, but a run keeps its first choice."""
+    saved = checkpoint.load(finished.out / "latest.pt")
+    other = {"float32": "bfloat16", "bfloat16": "float32"}[finished.settings["run.matrix_products"]]
+    checkpoint.save(tmp_path / "latest.pt", saved | {"settings": saved["settings"] | {"run.matrix_products": other}})
+    assert session(tmp_path, pool, resume=True).settings["run.matrix_products"] == other
+
+
+def test_a_checkpoint_without_a_learner_cannot_resume_a_run(finished, tmp_path, pool):
+    (tmp_path / "latest.pt").write_bytes((finished.out / "best.pt").read_bytes())
+    with pytest.raises(CheckpointError, match=r"latest\.pt: learner missing; .* best\.pt for `softarm dev export`"):
+        session(tmp_path, pool, resume=True)
+
+
 @pytest.mark.prove
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_run_ends_after_validations_without_improvement(tmp_path, pool):
