@@ -16,6 +16,7 @@ from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.training.learn.inference import actor
 from softarm.training.learn.network import PolicyNetwork
+from softarm.training.task import calls
 from softarm.training.task.environment import Environment, Randomisation, ShelfEnvironment, Step
 from softarm.training.task.reach import Array, ReachTask, ShelfTask, Starts
 from softarm.training.task.registry import plugin_of
@@ -102,9 +103,9 @@ def validation_scenarios(task: ReachTask, links: int, count: int = 1536) -> Scen
         return _random_shelf_scenarios(task, links, count, rng)
     if plugin_of(task) is not None:
         cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
-        return Scenarios(at_rest(cart, links), task.sample_targets(rng, count))
-    inside = task.sample_targets(rng, count - count // 3)
-    band = replace(task, target_z_m=(TRAINED_Z_MAX_M, 0.80)).sample_targets(rng, count // 3)
+        return Scenarios(at_rest(cart, links), calls.targets(task, rng, count))
+    inside = calls.targets(task, rng, count - count // 3)
+    band = calls.targets(replace(task, target_z_m=(TRAINED_Z_MAX_M, 0.80)), rng, count // 3)
     cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
     return Scenarios(at_rest(cart, links), np.concatenate((inside, band)))
 
@@ -124,7 +125,7 @@ def combined(scenarios: Sequence[Scenario], links: int) -> Scenarios:
 
 def _random_shelf_scenarios(task: ShelfTask, links: int, count: int, rng: np.random.Generator) -> Scenarios:
     """Return random targets, depths and cart starts of the training range."""
-    targets, depths = task.sample_targets(rng, count), task.sample_depths(rng, count)
+    targets, depths = calls.targets(task, rng, count), calls.depths(task, rng, count)
     return Scenarios(at_rest(rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24), links), targets, depths)
 
 

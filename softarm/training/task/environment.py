@@ -22,6 +22,7 @@ from softarm.simulator.effects import EffectError, find, out_of_range
 from softarm.simulator.model_file import idle_effects
 from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
+from softarm.training.task import calls
 from softarm.training.task.rail_guard import RailGuard
 from softarm.training.task.reach import Moment, ReachTask, ShelfTask, Starts
 
@@ -160,8 +161,8 @@ class Environment:
         links = self.simulator.links
         self._begin(
             everyone,
-            starts or self.task.sample_starts(self.rng, self.robots, links),
-            self.task.sample_targets(self.rng, self.robots) if targets_m is None else targets_m,
+            starts or calls.starts(self.task, self.rng, self.robots, links),
+            calls.targets(self.task, self.rng, self.robots) if targets_m is None else targets_m,
         )
         return self._observe()
 
@@ -193,16 +194,15 @@ class Environment:
         self._elapsed += 1
 
         tip = self._pose[:, 1:]
-        success = self.task.succeeded(tip, self._target)
         # NaN ends the episode like a crash, so that it cannot spread.
         off_rail = ~(np.abs(self._pose[:, 0]) <= self.task.rail_limit_m)
-        success &= ~off_rail
+        success = calls.succeeded(self.task, tip, self._target) & ~off_rail
         terminated = success | off_rail
         truncated = ~terminated & (self._elapsed >= self.task.episode_steps)
         speed = np.nan_to_num(np.linalg.norm(self._rates[:, 1:], axis=1))
         final, final_tip = np.nan_to_num(self._observe()), np.nan_to_num(tip)
         cart = np.nan_to_num(self._pose[:, 0])
-        reward = self._reward(Moment(final_tip, speed, self.target_m, cart, success, off_rail))
+        reward = calls.reward(self.task, Moment(final_tip, speed, self.target_m, cart, success, off_rail))
         if self.restarts:
             self._restart(terminated | truncated)
         return Step(self._observe(), reward, terminated, truncated, success, final, final_tip)
@@ -245,17 +245,6 @@ class Environment:
         arrays |= {"time_s": np.array(self.simulator.time_s)} | seen
         return {name: torch.from_numpy(each) for name, each in arrays.items()}
 
-    def _reward(self, now: Moment) -> Array:
-        """Return the task's reward. Raises ValueError if a plug-in's reward is invalid."""
-        reward = self.task.reward(now)
-        if not isinstance(reward, np.ndarray) or reward.shape != (self.robots,) or reward.dtype.kind != "f":
-            got = f"{reward.dtype} {reward.shape}" if isinstance(reward, np.ndarray) else type(reward).__name__
-            raise ValueError(f"task '{self.task.name}': reward gave {got}; allowed is float32 ({self.robots},)")
-        if not np.isfinite(reward).all():
-            robot = int(np.flatnonzero(~np.isfinite(reward))[0])
-            raise ValueError(f"task '{self.task.name}': reward gave {reward[robot]} for robot {robot}: repair it")
-        return reward
-
     def _kept(self, ticks: Mask, velocity: Array, pressure: Array) -> tuple[Array, Array]:
         """Return the commands (m/s, kPa, [R]); loops that miss their tick keep the last ones."""
         velocity = np.where(ticks, velocity, self._sent)
@@ -267,8 +256,8 @@ class Environment:
     def _restart(self, over: Mask) -> None:
         if over.any():
             # Drawn for all robots, so that a robot's start does not depend on how many restart.
-            starts = self.task.sample_starts(self.rng, self.robots, self.simulator.links)
-            self._begin(over, starts, self.task.sample_targets(self.rng, self.robots))
+            starts = calls.starts(self.task, self.rng, self.robots, self.simulator.links)
+            self._begin(over, starts, calls.targets(self.task, self.rng, self.robots))
 
     def _begin(self, which: Mask, starts: Starts, targets_m: Array) -> None:
         if self._drawn and self.randomisation.each_episode:
@@ -344,7 +333,7 @@ class ShelfEnvironment(Environment):
 
     def _begin(self, which: Mask, starts: Starts, targets_m: Array) -> None:
         super()._begin(which, starts, targets_m)
-        self._place(which, self.task.sample_depths(self.rng, self.robots))
+        self._place(which, calls.depths(self.task, self.rng, self.robots))
 
     def _place(self, which: Mask, depths_m: Array) -> None:
         """Place the shelves of some robots so that their targets have these depths."""

@@ -12,7 +12,8 @@ from softarm.training.record.checkpoint import CheckpointError, load, task_of, u
 from softarm.training.run import recipe, retrain
 from softarm.training.task import registry
 from softarm.training.task.environment import Environment
-from softarm.training.task.reach import ReachTask
+from softarm.training.task.reach import ReachTask, Starts
+from tests.cli.invoke import invoke
 
 NEAR = """
     from dataclasses import dataclass, field
@@ -48,6 +49,11 @@ NEAR = """
     class Untyped(ReachTask):
         extra: "Missing" = 1.0
 
+    @dataclass(frozen=True)
+    class Wrong(ReachTask):
+        def sample_targets(self, rng, count):
+            return rng.random((2, count))
+
     class Stranger:
         pass
 """
@@ -55,8 +61,8 @@ NEAR = """
 
 @pytest.fixture
 def near(install):
-    names = {"newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger", "untyped": "Untyped"}
-    install("tasks_of_theirs", NEAR, "softarm.tasks", near="Near", high="high", sloped="sloped", **names)
+    names = {name.lower(): name for name in ("Near", "Newer", "Unrecordable", "Untyped", "Wrong", "Stranger")}
+    install("tasks_of_theirs", NEAR, "softarm.tasks", high="high", sloped="sloped", **names)
 
 
 def test_a_task_has_the_name_of_its_entry_point(near):
@@ -107,19 +113,36 @@ def test_the_environment_uses_the_tasks_reward(near):
 
 
 @pytest.mark.parametrize(
-    ("reward", "text"),
+    ("method", "body", "text"),
     [
-        (lambda self, now: 1.0, r"reward gave float; allowed is float32 \(4,\)"),
-        (lambda self, now: now.success, r"reward gave bool \(4,\); allowed is float32 \(4,\)"),
-        (lambda self, now: now.tip_m, r"reward gave float32 \(4, 2\); allowed"),
-        (lambda self, now: now.tip_speed_m_s * np.nan, "reward gave nan for robot 0"),
+        ("reward", lambda self, now: 1.0, r"reward gave float; allowed is float32 \(4,\)"),
+        ("reward", lambda self, now: now.success, r"reward gave bool \(4,\); allowed is float32 \(4,\)"),
+        ("reward", lambda self, now: now.tip_m, r"reward gave float32 \(4, 2\); allowed"),
+        ("reward", lambda self, now: now.tip_speed_m_s * np.nan, "reward gave nan for robot 0"),
+        ("reward", lambda self, now: now.speed, "reward raised AttributeError: .*no attribute 'speed'"),
+        ("succeeded", lambda self, tip, target: tip[:, 0], r"succeeded gave float32 \(4,\); allowed is bool \(4,\)"),
+        ("succeeded", lambda self, tip, target: (tip < target).any(), r"succeeded gave bool.*; allowed is bool \(4,\)"),
+        ("sample_targets", lambda self, rng, count: rng.random((2, count)), r"gave float64 \(2, 4\); allowed"),
+        ("sample_targets", lambda self, rng, count: rng.random((count, 2)) * np.nan, r"gave \[nan nan\] for robot 0"),
+        ("sample_targets", lambda self, rng, count: rng.uniform(0, -1, (count, 2)), "raised (Value|Overflow)Error"),
+        ("sample_starts", lambda self, rng, count, links: rng.random(count), r"gave float64 \(4,\); allowed is Starts"),
+        (
+            "sample_starts",
+            lambda self, rng, count, links: Starts(*(rng.random(count) for _ in range(3))),
+            r"joint_angles_rad of sample_starts gave float64 \(4,\); allowed is float32 \(4, 5\)",
+        ),
     ],
 )
-def test_an_invalid_reward_is_refused(reward, text):
-    environment = Environment(type("Odd", (ReachTask,), {"reward": reward})(name="odd"), 4, 0)
-    environment.reset()
-    with pytest.raises(ValueError, match=f"task 'odd': {text}"):
-        environment.step(np.zeros((4, 2), np.float32))
+def test_an_invalid_result_of_a_method_is_refused(method, body, text):
+    environment = Environment(type("Odd", (ReachTask,), {method: body})(name="odd"), 4, 0)
+    with pytest.raises(PluginError, match=f"task 'odd': .*{text}"):
+        environment.reset(), environment.step(np.zeros((4, 2), np.float32))
+
+
+def test_an_error_of_a_task_ends_the_training_with_its_text(near, tmp_path):
+    result = invoke("train", "wrong", "--robots", 8, "--out", tmp_path / "run")
+    assert result.exit_code == 1
+    assert "task 'wrong': sample_targets gave float64 (2, 1536); allowed is float32 (1536, 2)" in result.output
 
 
 @pytest.mark.slow
