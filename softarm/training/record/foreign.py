@@ -4,6 +4,7 @@ The network is feed-forward, in torch, with the observations of `softarm.trainin
 -1..1. Like a file of `softarm train`, the file has metadata, a golden run and the success in the validation set.
 """
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -43,17 +44,24 @@ def export(
     """Write a network as a policy file and return its success in the task's validation set, as a share.
 
     `layers` map (observation - mean) / scale, clipped at +-cut, to the action's mean. `training` is recorded in the
-    file. Raises ForeignNetworkError for layers other than Linear, Tanh, ReLU, ELU, Sigmoid, or for wrong sizes.
+    file. Raises ForeignNetworkError for layers other than Linear, Tanh, ReLU, ELU, Sigmoid, for wrong sizes or for an
+    invalid normalisation.
     """
     task = task or ReachTask()
     inputs = len(OBSERVATION) + len(task.goal)
-    shift, width = (np.broadcast_to(np.asarray(each, dtype=np.float32), inputs).copy() for each in (mean, scale))
+    # A copy, as the caller's network may be on a graphics card or in float64.
+    layers = copy.deepcopy(layers).cpu().float()
+    shift, width = _numbers("mean", mean, inputs), _numbers("scale", scale, inputs)
+    if not (width > 0).all():
+        raise ForeignNetworkError(f"scale is {scale!r}; allowed: one finite number or {inputs}, above 0: correct it")
+    if not cut > 0:
+        raise ForeignNetworkError(f"cut is {cut!r}; allowed: a number above 0, or infinity: correct it")
     model = _graph(layers, inputs, shift, width, cut)
 
     def act(observation: Array) -> Array:
         with torch.no_grad():
             inside = torch.from_numpy(((observation - shift) / width).clip(-cut, cut))
-            action: Array = layers.cpu()(inside).clamp(-1.0, 1.0).numpy()
+            action: Array = layers(inside).clamp(-1.0, 1.0).numpy()
         return action
 
     trials = validation.validation_scenarios(task, Model().arm.links, VALIDATION_TRIALS)
@@ -61,6 +69,17 @@ def export(
     settings: Settings = flat(task=task) | {"run.validation_set": validation.chosen_by(task)} | (training or {})
     write_model(model, described(task, STATE, settings, seed, share, golden_run(act, task)), path)
     return share
+
+
+def _numbers(name: str, values: ArrayLike, count: int) -> Array:
+    """Return one number or `count` as float32 [count]. Raises ForeignNetworkError."""
+    try:
+        numbers = np.broadcast_to(np.asarray(values, dtype=np.float32), count).copy()
+    except (TypeError, ValueError):  # no numbers, or not so many
+        numbers = np.full(count, np.nan, dtype=np.float32)
+    if not np.isfinite(numbers).all():
+        raise ForeignNetworkError(f"{name} is {values!r}; allowed: one finite number or {count}: correct it")
+    return numbers
 
 
 def _graph(layers: nn.Sequential, inputs: int, mean: Array, scale: Array, cut: float) -> ModelProto:

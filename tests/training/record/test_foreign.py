@@ -1,5 +1,6 @@
 """Networks of other learners become files that the daemon flies, number for number."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +47,37 @@ def test_the_file_computes_the_networks_actions(layer: nn.Module, tmp_path: Path
         inside = torch.from_numpy(((seen - MEAN) / SCALE).clip(-2.0, 2.0))
         wanted = layers(inside).detach().numpy().clip(-1.0, 1.0)
         np.testing.assert_allclose(policy.step(seen[:8], seen[8:]), low + (wanted + 1) / 2 * (high - low), rtol=1e-4)
+
+
+CARD = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a graphics card")
+
+
+@pytest.mark.parametrize("to", [torch.float64, pytest.param("cuda", marks=CARD)])
+def test_the_network_may_be_on_a_card_or_of_another_precision_and_stays_as_it_is(to: object, tmp_path: Path) -> None:
+    layers = network(nn.Tanh()).to(to)
+    before = copy.deepcopy(layers)
+    foreign.export(layers, tmp_path / "mine.onnx", SHORT)
+    assert OnnxPolicy(str(tmp_path / "mine.onnx")).metadata.name == "reach"
+    for mine, theirs in zip(layers.parameters(), before.parameters(), strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"scale": 0.0}, r"scale is 0\.0; allowed: one finite number or 10, above 0: correct it"),
+        ({"scale": np.full(10, -1.0)}, "scale is .*-1.*; allowed: one finite number or 10, above 0"),
+        ({"mean": np.zeros(8)}, "mean is .*0.*; allowed: one finite number or 10: correct it"),
+        ({"mean": np.nan}, "mean is nan; allowed"),
+        ({"mean": "many"}, "mean is 'many'; allowed"),
+        ({"cut": -1.0}, r"cut is -1\.0; allowed: a number above 0, or infinity: correct it"),
+        ({"cut": np.nan}, "cut is nan; allowed"),
+    ],
+)
+def test_a_wrong_normalisation_is_refused(given: dict[str, object], text: str, tmp_path: Path) -> None:
+    with pytest.raises(ForeignNetworkError, match=text):
+        foreign.export(network(nn.Tanh()), tmp_path / "mine.onnx", SHORT, **given)
+    assert not (tmp_path / "mine.onnx").exists()
 
 
 def test_a_task_with_a_longer_observation_is_exported(tmp_path: Path) -> None:
