@@ -88,10 +88,14 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         name = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         _one_of("autoreset_mode", name, [mode.value for mode in modes])
         self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(name)}
-        task = preset(task) if isinstance(task, str) else task or self.kind()
+        task = preset(task) if isinstance(task, str) else self.kind() if task is None else task
+        if not isinstance(task, ReachTask):
+            raise TypeError(f"task is {task!r}; allowed is a {self.kind.__name__} or its name")
         if not isinstance(task, self.kind):
             raise ValueError(f"task '{task.name}' is not for this environment; allowed is a {self.kind.__name__}")
-        model = model_file.load(model) if isinstance(model, str | Path) else model or Model()
+        model = model_file.load(model) if isinstance(model, str | Path) else Model() if model is None else model
+        if not isinstance(model, Model):
+            raise TypeError(f"model is {model!r}; allowed is a Model, a file or a shipped name")
         self.environment = environment_of(task, num_envs, 0, model, physics_rate_hz)
         self.environment.restarts = name == AutoresetMode.SAME_STEP.value
         # Arguments of a drawing.
@@ -120,7 +124,7 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode for every robot. Raises ValueError for an unknown option, TypeError for several seeds."""
         if seed is not None and not isinstance(seed, int):
-            raise TypeError(f"the seed is a {type(seed).__name__}; allowed is one integer, from which all robots draw")
+            raise TypeError(f"the seed is a {type(seed).__name__}; allowed is one Python integer for all robots")
         super().reset(seed=seed)
         return self.begin(self.np_random, options), {}
 
@@ -235,6 +239,7 @@ class ReachEnv(gymnasium.Env[Array, Array]):
 
         Raises:
             ModelFileError: The model is missing or invalid.
+            TypeError: The task or the model is of another type.
             ValueError: The task or the render mode is unknown.
             RuntimeError: The render mode is "human" and there is no display.
         """

@@ -96,38 +96,23 @@ def test_single_and_vector_environments_give_the_same_robot(task: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "kind", "text"),
+    ("robots", "action", "kind", "text"),
     [
-        ([0.0, 0.0], TypeError, "of type list; allowed is a float32 array of shape"),
-        (np.zeros(2, np.int64), TypeError, "of type int64; allowed is a float32"),
-        (
-            np.zeros((1, 2), np.float32),
-            ValueError,
-            r"has the shape \(1, 2\); allowed is a float32 array of shape \(2,\)",
-        ),
-        (np.array([np.nan, 0.0], np.float32), ValueError, r"the action is \[nan, 0.0\]; allowed is a float32 array"),
+        ((), [0.0, 0.0], TypeError, "of type list; allowed is a float32 array of shape"),
+        ((), np.zeros(2, np.int64), TypeError, "of type int64; allowed is a float32"),
+        ((), np.zeros((1, 2)), ValueError, r"has the shape \(1, 2\); allowed is a float32 array of shape \(2,\)"),
+        ((), np.array([np.nan, 0.0]), ValueError, r"the action is \[nan, 0.0\]; allowed is a float32 array"),
+        ((3,), np.zeros(2), ValueError, r"has the shape \(2,\); allowed is a float32 array of shape \(3, 2\)"),
+        ((2,), np.array([[0, 0], [np.nan, 0.0]]), ValueError, r"the action of robot 1 is \[nan, 0.0\]; allowed"),
     ],
 )
-def test_an_invalid_action_is_refused_with_the_reason_and_changes_nothing(action, kind, text) -> None:
-    env, untouched = one("Reach"), one("Reach")
+def test_an_invalid_action_is_refused_with_the_reason_and_changes_nothing(robots, action, kind, text) -> None:
+    env, untouched = ((many if robots else one)("Reach", *robots) for _ in range(2))
     env.reset(seed=5), untouched.reset(seed=5)
     with pytest.raises(kind, match=text):
         env.step(action)
-    good = np.array([0.3, -0.3], np.float32)
+    good = np.full((*robots, 2), 0.3, np.float32)
     np.testing.assert_array_equal(env.step(good)[0], untouched.step(good)[0])
-
-
-def test_the_robot_of_an_invalid_action_is_named() -> None:
-    env = many("Reach", 3)
-    env.reset(seed=5)
-    actions = np.zeros((3, 2), np.float32)
-    actions[1, 0] = np.nan
-    with pytest.raises(ValueError, match=r"the action of robot 1 is \[nan, 0.0\]; allowed is a float32 array"):
-        env.step(actions)
-    with pytest.raises(
-        ValueError, match=r"the action has the shape \(2,\); allowed is a float32 array of shape \(3, 2\)"
-    ):
-        env.step(np.zeros(2, np.float32))
 
 
 def test_actions_of_double_precision_are_accepted_and_clipped() -> None:
@@ -199,8 +184,22 @@ def test_one_seed_determines_all_robots() -> None:
     first, again, drawn = (env.reset(seed=seed)[0] for seed in (4, 4, None))
     np.testing.assert_array_equal(first, again)
     assert (drawn[:, 8:] != first[:, 8:]).all()
-    with pytest.raises(TypeError, match="the seed is a list; allowed is one integer"):
-        env.reset(seed=[1, 2, 3])
+    for seed in ([1, 2, 3], np.int64(3)):
+        with pytest.raises(TypeError, match=r"the seed is a .*; allowed is one Python integer"):
+            env.reset(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("argument", "text"),
+    [
+        ({"task": 3}, "task is 3; allowed is a ReachTask or its name"),
+        ({"task": 0}, "task is 0; allowed is a ReachTask or its name"),
+        ({"model": 3}, "model is 3; allowed is a Model, a file or a shipped name"),
+    ],
+)
+def test_a_task_or_model_of_another_type_is_refused(argument: dict[str, object], text: str) -> None:
+    with pytest.raises(TypeError, match=text):
+        gym_envs.ReachEnv(**argument)
 
 
 def test_the_goal_can_be_set_by_options() -> None:
