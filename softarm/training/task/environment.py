@@ -223,12 +223,12 @@ class Environment:
             setattr(self, name, content[name].numpy().copy())
         if self._guard is not None:
             self._guard.sent_m_s = content["guard"].numpy().copy()
-        self._drawn = {path: values.numpy().copy() for path, values in content.get("drawn", {}).items()}
+        self._drawn = {path: values.numpy().copy() for path, values in content["drawn"].items()}
         if self._drawn:
             self.simulator.override(self._drawn)
         self.simulator.restore(content["simulator"].numpy())
         self.rng.bit_generator.state = json.loads(content["rng"])
-        effects = {name: each.numpy().copy() for name, each in content.get("effects", {}).items()}
+        effects = {name: each.numpy().copy() for name, each in content["effects"].items()}
         if effects:
             self.simulator.time_s = float(effects.pop("time_s"))
             for name in _ARRAYS_OF_EFFECTS:

@@ -36,7 +36,7 @@ class RailGuard:
 
     @sent_m_s.setter
     def sent_m_s(self, sent: Array) -> None:
-        self._sent.extend(np.atleast_2d(sent))
+        self._sent.extend(sent)
 
     def reset(self, robots: NDArray[np.bool_]) -> None:
         """Set the earlier commands of robots [R] to zero."""

@@ -115,14 +115,8 @@ def test_validation_uses_a_moving_average_of_the_weights(tmp_path, pool):
     torch.testing.assert_close(run.average.value_head.weight.detach(), expected, atol=1e-7, rtol=1e-4)
     assert (seen[1] - seen[0]).abs().max() > 1e-5
     assert torch.equal(run.average.observation_normaliser.mean, run.network.observation_normaliser.mean)
-
-
-def test_an_average_forgets_untrained_weights_and_then_moves_slowly():
-    shares = [averaged_share(k, 0.975) for k in range(2000)]
-    assert shares[0] == 1.0
-    assert shares == sorted(shares, reverse=True)
-    assert shares[100] == pytest.approx(10 / 110)
-    assert shares[-1] == pytest.approx(0.025)
+    # Untrained weights are soon forgotten, and then the average moves slowly.
+    assert [averaged_share(k, 0.975) for k in (0, 100, 2000)] == pytest.approx([1.0, 10 / 110, 0.025])
 
 
 def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):

@@ -69,13 +69,6 @@ def test_a_restarted_robot_has_zero_as_earlier_command() -> None:
     assert old < new
 
 
-def test_a_snapshot_with_one_remembered_command_is_accepted() -> None:
-    """Older versions remembered one; environments continue from present snapshots in test_environment_effects.py."""
-    guard = RailGuard(3, PERIOD_S)
-    guard.sent_m_s = np.float32([1.0, 0.5, -1.0])
-    np.testing.assert_array_equal(guard.sent_m_s, [[0.0, 0.0, 0.0], [1.0, 0.5, -1.0]])
-
-
 def test_a_task_keeps_every_rail_limit_of_the_clamp() -> None:
     limits = RailLimits(
         position_min_m=-0.1,
