@@ -192,6 +192,6 @@ def test_the_users_plugin_a_shipped_policy_and_the_examples_fly(installed: Path,
     assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0
     examples = extended.parent / "examples"
     tests = [examples / example.name / "tests" for example in EXAMPLES]
-    assert len(tests) == 3
+    assert len(tests) == 2
     plain = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib", "--rootdir", examples)
     assert " passed" in run(installed, "-m", "pytest", *plain, *tests, cwd=extended)
