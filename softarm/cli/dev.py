@@ -1,7 +1,8 @@
 """`softarm dev`: tools of softarm's makers."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,11 +19,10 @@ from softarm.cli.shared.console import (
     write_json,
 )
 from softarm.cli.shared.errors import NOTHING, leaves
-from softarm.schemas.flights import CART_STARTS_M
+from softarm.schemas.flights import CART_STARTS_M, in_range
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
-    from softarm.training.trajectory.planner import Row
     from softarm.training.trajectory.problem import Array
 
 OUT = Path("runs/trajectories.npz")
@@ -126,10 +126,8 @@ def plan(
     click.echo("  softarm evaluate mine --config mine.yaml")
 
 
-def show(found: "list[Row]") -> None:
+def show(found: list[dict[str, Any]]) -> None:
     """Print a row per plan, or per height if there are many, and the targets that were missed."""
-    from softarm.training.trajectory import planner
-
     lines = []
     if len(found) <= LISTED:
         for row in found:
@@ -139,9 +137,13 @@ def show(found: "list[Row]") -> None:
         columns = ("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
         print_table(columns, lines)
         return
-    for label, part in planner.by_height(found).items():
-        after = "-" if part.mean_time_s is None else f"{part.mean_time_s:.2f} on average"
-        lines.append((label, str(part.rows), f"{100 * part.planned:.1f} %", f"{100 * part.reached:.1f} %", after))
+    low, above = ([row for row in found if in_range(row["z"]) == inside] for inside in (True, False))
+    for label, some in (("z <= 0.70 m", low), ("z > 0.70 m", above), ("all", found)):
+        if some:
+            planned, reached = (f"{100 * fmean(row[key] for row in some):.1f} %" for key in ("planned", "reached"))
+            times_s = [row["time_s"] for row in some if row["reached"]]
+            after = f"{fmean(times_s):.2f} on average" if times_s else "-"
+            lines.append((label, str(len(some)), planned, reached, after))
     print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), lines)
     if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
         print_text("missed from at least one start: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))

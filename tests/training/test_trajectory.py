@@ -171,17 +171,8 @@ def test_bisection_halves_the_range_of_each_target_and_shares_searches():
     assert searched[:2] == [(2.0, [0, 1, 2]), (1.5, [0, 1])]
 
 
-def test_rows_of_plans_are_summed_up_by_height(report):
+def test_rows_of_plans_have_plain_values(report):
     found = planner.rows(report)
     assert [row["reached"] for row in found] == REACHABLE.tolist() == [row["planned"] for row in found]
     assert found[0] == pytest.approx({**found[0], "y": -0.2, "z": 0.6, "start": 0.1})
     assert found[2]["time_s"] is None
-    parts = planner.by_height(found)
-    assert {label: (part.rows, part.planned, part.reached) for label, part in parts.items()} == {
-        "z <= 0.70 m": (2, 1.0, 1.0),
-        "z > 0.70 m": (1, 0.0, 0.0),
-        "all": (3, pytest.approx(2 / 3), pytest.approx(2 / 3)),
-    }
-    assert parts["all"].mean_time_s == pytest.approx((found[0]["time_s"] + found[1]["time_s"]) / 2)
-    assert parts["z > 0.70 m"].mean_time_s is None
-    assert list(planner.by_height(found[:2])) == ["z <= 0.70 m", "all"]

@@ -6,14 +6,12 @@ possible end of a plan.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from statistics import fmean
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.policies.plans import Plans
-from softarm.schemas.flights import in_range
 from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_RATE_HZ, PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
@@ -100,28 +98,6 @@ class Report(NamedTuple):
     reached_s: Array  # [P], at 1200 Hz behind the clamp, within the extended horizon; NaN where it was not
 
 
-class Row(TypedDict):
-    """Result of one target from one start, with distances of the tip from the target."""
-
-    y: float
-    z: float
-    start: float
-    planned: bool  # reached in the plan with the cart within its limit
-    planned_miss_m: float
-    miss_m: float
-    reached: bool
-    time_s: float | None  # until it was reached
-
-
-class Part(NamedTuple):
-    """Summary of several rows; the first two numbers after the count are shares."""
-
-    rows: int
-    planned: float
-    reached: float
-    mean_time_s: float | None  # of reached targets, if any
-
-
 class _Flown(NamedTuple):
     """Simulated results of P plans."""
 
@@ -173,43 +149,23 @@ def plan(
     return Report(plans, planned, found.planned_miss_m, found.reached_s)
 
 
-def rows(report: Report) -> list[Row]:
-    """Return a row of plain numbers per plan, start by start."""
+def rows(report: Report) -> list[dict[str, Any]]:
+    """Return a row of plain values per plan, start by start, with distances of the tip from the target."""
     plans = report.plans
-    columns = (
-        plans.target_m,
-        plans.cart_start_m,
-        report.planned,
-        report.planned_miss_m,
-        plans.miss_m,
-        report.reached_s,
-    )
+    columns = plans.target_m, plans.cart_start_m, report.planned, report.planned_miss_m, plans.miss_m, report.reached_s
     return [
-        Row(
-            y=round(float(target_m[0]), 6),
-            z=round(float(target_m[1]), 6),
-            start=round(float(start_m), 6),
-            planned=bool(planned),
-            planned_miss_m=float(planned_miss_m),
-            miss_m=float(miss_m),
-            reached=bool(np.isfinite(reached_s)),
-            time_s=float(reached_s) if np.isfinite(reached_s) else None,
-        )
+        {
+            "y": round(float(target_m[0]), 6),
+            "z": round(float(target_m[1]), 6),
+            "start": round(float(start_m), 6),
+            "planned": bool(planned),  # reached in the plan with the cart within its limit
+            "planned_miss_m": float(planned_miss_m),
+            "miss_m": float(miss_m),
+            "reached": bool(np.isfinite(reached_s)),
+            "time_s": float(reached_s) if np.isfinite(reached_s) else None,  # until it was reached
+        }
         for target_m, start_m, planned, planned_miss_m, miss_m, reached_s in zip(*columns, strict=True)
     ]
-
-
-def by_height(found: Sequence[Row]) -> dict[str, Part]:
-    """Summarise rows by height of their targets, and all rows; empty parts are left out."""
-    low, above = ([row for row in found if in_range(row["z"]) == inside] for inside in (True, False))
-    parts = {"z <= 0.70 m": low, "z > 0.70 m": above, "all": found}
-    return {label: _part(part) for label, part in parts.items() if part}
-
-
-def _part(found: Sequence[Row]) -> Part:
-    times_s = [row["time_s"] for row in found if row["time_s"] is not None]
-    planned = fmean(row["planned"] for row in found)
-    return Part(len(found), planned, len(times_s) / len(found), fmean(times_s) if times_s else None)
 
 
 def _solve(rollouts: Rollouts, batch: Batch, knots: Array, on_advance: Callable[[float], None]) -> Solution:

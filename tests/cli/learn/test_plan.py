@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 
+from softarm.cli import dev
 from softarm.policies.plans import Plans
 from softarm.training.trajectory import ceiling
 from tests.cli.invoke import succeed
@@ -20,6 +21,17 @@ def test_plan_writes_plans_and_results(monkeypatch, tmp_path):
     assert plans.model == "seed"
     assert '"reached": true' in results.read_text()
     assert str(out) in result.output.replace("\n", "")
+
+
+def test_many_plans_are_summed_up_by_height(capsys):
+    near = {"y": -0.2, "z": 0.6, "planned": True, "reached": True, "time_s": 1.0}
+    far = {"y": 0.1, "z": 0.8, "planned": False, "reached": False, "time_s": None}
+    dev.show([near] * 9 + [near | {"time_s": 2.0}] * 3 + [far] * 4)
+    printed = " ".join(capsys.readouterr().out.replace("\N{BOX DRAWINGS LIGHT VERTICAL}", " ").split())
+    assert "z <= 0.70 m 12 100.0 % 100.0 % 1.25 on average z > 0.70 m 4 0.0 % 0.0 % - all 16 75.0 % 75.0 %" in printed
+    assert "missed from at least one start: (0.10, 0.80)" in printed
+    dev.show([near] * 13)
+    assert "z > 0.70 m" not in capsys.readouterr().out
 
 
 def test_needs_prints_and_writes_what_reaches_a_missed_target(monkeypatch, tmp_path):
