@@ -36,28 +36,6 @@ def validated(rows: Sequence[Iteration]) -> list[float]:
     return [row.validation for row in rows if row.validation is not None]
 
 
-def finished(rows: Sequence[Iteration], seconds: float, frames_end: int | None, seconds_end: float | None) -> float:
-    """Return the finished share of a run, 0 to 1, by the expected time to the earlier of its ends.
-
-    The speed is that after the first iteration, which contains the preparation.
-
-    Args:
-        rows: Iterations so far.
-        seconds: Time so far, s.
-        frames_end: Number of frames at which the run ends; None for no such end.
-        seconds_end: Time at which the run ends, s; None for no such end.
-    """
-    if not rows:
-        return 0.0
-    first, newest = rows[0], rows[-1]
-    left_s = [] if seconds_end is None else [seconds_end - seconds]
-    if frames_end is not None:
-        flown = newest.frames - first.frames
-        speed = flown / (seconds - first.seconds) if flown else newest.frames_per_s
-        left_s.append((frames_end - newest.frames) / speed)
-    return seconds / (seconds + max(0.0, min(left_s)))
-
-
 def fruitless(rows: Sequence[Iteration]) -> int:
     """Return the number of validations since the best one."""
     shares = validated(rows)

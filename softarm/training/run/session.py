@@ -143,7 +143,11 @@ class Session:
 
     def finished(self, frames: int | None, minutes: float | None) -> float:
         """Return the finished share of a run to these bounds, 0 to 1."""
-        return curve.finished(self.curve, self.seconds, frames, None if minutes is None else 60.0 * minutes)
+        by_frames, by_time = (
+            self.frames / frames if frames else 0.0,
+            self.seconds / (60.0 * minutes) if minutes else 0.0,
+        )
+        return min(1.0, max(by_frames, by_time))
 
     def run(self, frames: int | None, minutes: float | None, on_progress: Callable[[], None] = lambda: None) -> Path:
         """Train until a bound or the patience is reached, and return the path of the exported policy.

@@ -124,6 +124,8 @@ def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [FRAMES * k for k in (1, 2, 3, 4)]
     assert [bool(row["validation"]) for row in rows] == [False, True, False, True]
+    shares = [finished.finished(*ends) for ends in ((8 * FRAMES, None), (8 * FRAMES, 1e-9), (None, 1e9))]
+    assert shares == [0.5, 1.0, pytest.approx(0.0, abs=1e-6)]
     assert (finished.out / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
