@@ -282,38 +282,6 @@ class Simulator:
                 self._command(first + link, turns[:, link])
         self._located = False
 
-    def step_arm(
-        self,
-        cart_position_m: ArrayLike,
-        cart_velocity_m_s: ArrayLike,
-        pressure_kpa: ArrayLike,
-        duration_s: float,
-        *,
-        start: tuple[ArrayLike, ArrayLike, ArrayLike],
-    ) -> None:
-        """Advance only the arm, with given motion of cart and pressure at the end of the step, scalars or [R].
-
-        Within the step, the cart follows the cubic through both ends and the pressure a straight line. `start` is the
-        motion at the start of the step.
-        """
-        at, rows = self._at, self._rows
-        for row, values in zip((at.q, at.v, at.pressure), start, strict=True):
-            self._command(row, values)
-        # The rows of commands hold the values at the end.
-        ends = (at.cart_push, at.cart_command, at.pressure_command)
-        for row, values in zip(ends, (cart_position_m, cart_velocity_m_s, pressure_kpa), strict=True):
-            self._command(row, values)
-        position, velocity, pressure = (rows[:, row].astype(np.float64) for row in ends)
-        way, before = position - rows[:, at.q], rows[:, at.v].astype(np.float64)
-        rows[:, at.cart_acceleration] = (6 * way / duration_s - 4 * before - 2 * velocity) / duration_s
-        rows[:, at.cart_jerk] = (6 * (before + velocity) - 12 * way / duration_s) / duration_s**2
-        rows[:, at.pressure_slope] = (pressure - rows[:, at.pressure]) / duration_s
-        rows[:, at.cart_push] = 0.0
-        self._run(self._advance, duration_s, layout.CART_GIVEN | layout.PRESSURE_GIVEN)
-        rows[:, at.q], rows[:, at.v], rows[:, at.pressure] = position, velocity, pressure
-        for row in (at.cart_acceleration, at.cart_jerk):
-            rows[:, row] = 0.0  # a base that is fixed stands still
-
     @property
     def cart_position_m(self) -> Array:
         """Return the carts' positions, [R]."""

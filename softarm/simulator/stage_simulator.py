@@ -32,7 +32,9 @@ class StageSimulator(Simulator):
         return self._fly(kernel.fly_cart, layout.PRESSURE_GIVEN, step_s, cart_velocity_m_s, arm_force_n, late_s)
 
     def fly_arm(self, cart_position_m: Array, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float) -> Array:
-        """Return y, then z of every link's end at the start of every step, m [T, 2 n, R]; motion as in `step_arm`.
+        """Return y, then z of every link's end at the start of every step, m [T, 2 n, R].
+
+        Within a step the cart follows the cubic through both ends and the pressure a straight line.
 
         Args:
             cart_position_m: at the start of every step, [T, R].

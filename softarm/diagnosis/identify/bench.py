@@ -3,16 +3,14 @@
 Regulator and drive are left out.
 """
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.identify.motion import Motion
+from softarm.diagnosis.identify.motion import Motion, directions, uniform
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
-from softarm.simulator.simulator import Simulator
+from softarm.simulator.stage_simulator import StageSimulator
 
 PARAMETERS = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
 
@@ -41,8 +39,7 @@ class Bench:
     def __init__(self, arm: Arm, columns: Array) -> None:
         """Create one robot per row of `columns`, [R, 4 n]."""
         models = [Model(arm=from_column(arm, column), effects={}) for column in columns]
-        self._simulator = Simulator(models, physics_rate_hz=TRAINING_PHYSICS_RATE_HZ)
-        self._lengths = np.array(arm.link_length_m)
+        self._simulator = StageSimulator(models, physics_rate_hz=TRAINING_PHYSICS_RATE_HZ)
 
     def replay(self, motion: Motion, starts: Array) -> Array:
         """Simulate a motion's inputs and return the signals at its stamps, [R, N, 3 n] as `Motion.signals`.
@@ -51,19 +48,18 @@ class Bench:
             motion: measured motion.
             starts: absolute link angles, rad, and rates, rad/s, at the first stamp, [R, 2 n] or [2 n].
         """
-        simulator = self._simulator
-        starts = np.broadcast_to(starts, (simulator.robots, 2 * simulator.links))
+        simulator, n = self._simulator, self._simulator.links
+        starts = np.broadcast_to(starts, (simulator.robots, 2 * n))
         angles, rates = np.split(starts, 2, axis=1)
         simulator.reset(joint_angles_rad=np.diff(angles, axis=1, prepend=0.0), link_rates_rad_s=rates)
-        speeds = CubicSpline(motion.t_s, motion.cart_m).derivative()(motion.t_s)
-        carts = np.column_stack((motion.cart_m - motion.cart_m[0], speeds, motion.pressure_kpa)).tolist()
-        # Equal to the last bit, so that the simulator reuses its preparation.
-        lengths = np.round(np.diff(motion.t_s), 8).tolist()
-        seen = [simulator.link_angles_rad]
-        for (before, (cart, speed, pressure)), length in zip(pairwise(carts), lengths, strict=True):
-            simulator.step_arm(cart, speed, pressure, length, start=before)
-            seen.append(simulator.link_angles_rad)
-        angles = np.stack(seen, axis=1)
-        y = np.cumsum(self._lengths * np.sin(angles), axis=2)
-        z = -np.cumsum(self._lengths * np.cos(angles), axis=2)
-        return np.concatenate((y, z, angles), axis=2)
+        t_s, cart = uniform(motion.t_s), CubicSpline(motion.t_s, motion.cart_m)
+        position, speed = cart(t_s) - motion.cart_m[0], cart(t_s, 1)
+        pressure = np.interp(t_s, motion.t_s, motion.pressure_kpa)
+        position, speed, pressure = (
+            np.repeat(each[:, None], simulator.robots, 1) for each in (position, speed, pressure)
+        )
+        ends = simulator.fly_arm(position, speed, pressure, t_s[1] - t_s[0]).transpose(2, 0, 1).astype(np.float64)
+        ends[..., :n] -= position.T[..., None]
+        ends[..., n:] -= simulator.model.arm.base_height_m
+        path = np.concatenate((ends, directions(ends)), axis=2)
+        return np.asarray(CubicSpline(t_s, path, axis=1)(motion.t_s))

@@ -34,14 +34,14 @@ class Motion:
     @property
     def angles_rad(self) -> Array:
         """Return the absolute link angles, rad, [N, n]: the direction from each joint to the next."""
-        return directions(self.signals)
+        return directions(self.signals[:, : -self.signals.shape[1] // 3])
 
 
-def directions(signals: Array) -> Array:
-    """Return the absolute angle of every link from its ends, rad, [N, n]; signals as `Motion.signals`."""
-    n = signals.shape[1] // 3
-    steps_y = np.diff(signals[:, :n], axis=1, prepend=0.0)
-    steps_z = np.diff(signals[:, n : 2 * n], axis=1, prepend=0.0)
+def directions(ends_m: Array) -> Array:
+    """Return each link's absolute angle, rad [..., n], from y, then z of the ends against the hinge, m [..., 2 n]."""
+    n = ends_m.shape[-1] // 2
+    steps_y = np.diff(ends_m[..., :n], axis=-1, prepend=0.0)
+    steps_z = np.diff(ends_m[..., n:], axis=-1, prepend=0.0)
     return np.asarray(np.arctan2(steps_y, -steps_z))
 
 
@@ -83,8 +83,8 @@ def measured(trial: Trial, links: int) -> Motion:
     signals[:, :links] -= cart_y[:, None]
     signals[:, links : 2 * links] -= np.median(cart[good, 1])
     # The zero of a rigid body is arbitrary: use the links' directions.
-    signals[:, 2 * links :] -= np.median(signals[:, 2 * links :] - directions(signals), axis=0)
-    start = np.concatenate((np.mean(directions(signals[t <= t[0] + 0.05]), axis=0), np.zeros(links)))
+    signals[:, 2 * links :] -= np.median(signals[:, 2 * links :] - directions(signals[:, : 2 * links]), axis=0)
+    start = np.concatenate((np.mean(directions(signals[t <= t[0] + 0.05, : 2 * links]), axis=0), np.zeros(links)))
     return Motion(
         trial.name,
         t,
@@ -113,7 +113,7 @@ def _cart(t: Array, y: Array, trial: Trial) -> Array:
         noise = float(_spread(y[:, None])[0])
         if abs(scale - 1) < 0.05 and np.sqrt(np.mean((y - seen) ** 2)) < 1.5 * max(noise, NOISE_MIN_M):
             return seen
-    grid = _grid(t)
+    grid = uniform(t)
     return np.asarray(np.interp(t, grid, _low_pass(CubicSpline(t, y)(grid), grid, CART_CUTOFF_HZ)))
 
 
@@ -144,7 +144,7 @@ def derivatives(motion: Motion) -> Derivatives:
 
     Everything, the pressure included, passes the same zero-phase filter, so that torques stay comparable.
     """
-    t = _grid(motion.t_s)
+    t = uniform(motion.t_s)
     h = t[1] - t[0]
     angles = _low_pass(CubicSpline(motion.t_s, motion.angles_rad)(t), t)
     cart = CubicSpline(motion.t_s, motion.cart_m)(t)
@@ -166,7 +166,7 @@ def differences(values: Array, step_s: float) -> tuple[Array, Array]:
     return first, second
 
 
-def _grid(t: Array) -> Array:
+def uniform(t: Array) -> Array:
     """Return uniform stamps at the usual rate."""
     step = float(np.median(np.diff(t)))
     return np.linspace(t[0], t[-1], max(2, round((t[-1] - t[0]) / step) + 1))
