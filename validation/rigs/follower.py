@@ -4,6 +4,7 @@ A mapping gives the parameters of each lane; missing ones are neutral (`DEFAULTS
 per mass and in the rig's own unit of length (radian or metre).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from validation.rigs.laws import Array, Bristles, Loops, Play, dead_zone, grown,
 INF = float("inf")
 # Time constant of the inner loop as a share of the outer loop's.
 INNER_SHARE = 1 / 40
+LONGER_SHARE = (1 + math.sqrt(1 - 4 * INNER_SHARE)) / 2  # of a lag in the two loops: their longer time constant
 ATMOSPHERE_KPA = 101.3
 
 DEFAULTS: Mapping[str, float] = {

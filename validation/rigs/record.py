@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from validation.rigs import excitation
 from validation.rigs.cart import Controller, cart
 from validation.rigs.case import RigCase
-from validation.rigs.follower import DEFAULTS, INNER_SHARE, axis, chamber
+from validation.rigs.follower import DEFAULTS, INNER_SHARE, LONGER_SHARE, axis, chamber
 from validation.rigs.laws import Array, arrivals, coloured, held
 from validation.rigs.links import swing
 from validation.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
@@ -400,7 +400,7 @@ def stage_model(rig: Rig) -> dict[str, Any]:
     """Return the nominal parameters by their keys in stage.yaml."""
     if rig.kind == "tracking":
         # Two loops have two lags: the longer one is the lag; the shorter one, the bus and its jitter are the delay.
-        longer = rig.pace_s * (1 + math.sqrt(1 - 4 * INNER_SHARE)) / 2
+        longer = rig.pace_s * LONGER_SHARE
         late = rig.pace_s - longer + (BUS_SHARE + JITTER_SHARE) / rig.rate_hz
         model: dict[str, Any] = {"lag_s": round(longer, 6), "delay_s": round(late, 6)}
         if rig.command_unit != rig.measured_unit:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from softarm.schemas.verdict import Estimate
+from validation.rigs.follower import LONGER_SHARE
 from validation.rigs.presets import RIGS, Kind, Rig, mass_of
 from validation.rigs.record import nominal
 
@@ -68,6 +69,8 @@ def _size(rig: Rig, setting: str, value: float) -> float:
     match setting:
         case "delay_s":  # the fault adds to the delay that the rig's owner knows
             return float(nominal(rig).get("delay_s", 0.0)) + value  # type: ignore[arg-type]
+        case "lag_s" | "lag_down_s" if rig.kind == "tracking":
+            return value * LONGER_SHARE
         case "mass_kg":
             return value / mass_of(rig) - 1
         case "mode_rad_s":

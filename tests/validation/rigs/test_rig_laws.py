@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from validation.rigs.cart import SPRING_ZETA, Controller, cart
-from validation.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
+from validation.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, LONGER_SHARE, axis, chamber
 from validation.rigs.laws import Bristles, orifice
 from validation.rigs.links import Links, swing
 
@@ -52,6 +52,7 @@ def test_an_axis_answers_a_step_as_two_lags(velocity):
     root = np.roots([tau * inner, tau, 1.0])  # of the closed loop, both modes alike
     want = 1 + (root[1] * np.exp(root[0] * t) - root[0] * np.exp(root[1] * t)) / (root[0] - root[1])
     assert np.max(np.abs(out - want)) < 4e-3
+    assert -1 / root.max() == pytest.approx(LONGER_SHARE * tau)
 
 
 @pytest.mark.slow
