@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 
 from validation.mechanisms.record import RATE_HZ, ROBOTS, JointLaw, Robot, Truth, actuator_of, record, write
@@ -116,8 +117,6 @@ def _loaded(robot: Robot, truth: Truth, random: np.random.Generator) -> Whole:
 
 def _with_load(robot: Robot, truth: Truth) -> Whole:
     """Return the fault of an extra mass."""
-    import mujoco
-
     last_kg = float(mujoco.MjModel.from_xml_path(str(robot.model)).body_mass[-1])
     return Whole(truth, robot.judged, ("payload",), {"payload.mass": truth.load * last_kg})
 
@@ -205,8 +204,6 @@ def draw_and_write(case: MechanismCase, data: Path, truths: Path) -> None:
 
 def sizes_of(robot: Robot, joint: str, fault: str, law: JointLaw) -> dict[str, float]:
     """Return the true size of a fault, by joint.effect.parameter; none of a joint with followers, which add theirs."""
-    import mujoco
-
     if fault not in SIZES or joint in robot.followers.values():
         return {}
     path, value = SIZES[fault]
@@ -218,8 +215,6 @@ def sizes_of(robot: Robot, joint: str, fault: str, law: JointLaw) -> dict[str, f
 
 def stage_text(robot: Robot) -> str:
     """Return the stage.yaml of a robot's recordings."""
-    import mujoco
-
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     slides = {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
 
@@ -235,7 +230,7 @@ def stage_text(robot: Robot) -> str:
     commands = []
     for joint in (*robot.follows, *robot.pushed):
         torque = "N" if joint in slides else "N m"
-        name = model.actuator(actuator_of(mujoco, model, joint)).name
+        name = model.actuator(actuator_of(model, joint)).name
         commands.append((name, f"cmd_{joint}", unit(joint) if joint in robot.follows else torque))
     lines += channel("command", commands)
     base = [(j, f"q_{j}", unit(j)) for j in robot.moved]
@@ -251,8 +246,6 @@ def stage_text(robot: Robot) -> str:
 
 def scales_of(robot: Robot) -> dict[str, Scale]:
     """Return the usual sizes of a robot's joints, from a recording of its model as it is."""
-    import mujoco
-
     found = record(robot, Truth({}), "multisine", 8.0, np.random.default_rng(0))
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     data = mujoco.MjData(model)
@@ -291,8 +284,6 @@ def scales_of(robot: Robot) -> dict[str, Scale]:
 
 def _healthy(robot: Robot, random: np.random.Generator) -> tuple[dict[str, JointLaw], dict[str, float]]:
     """Return laws whose numbers are off by one to two per cent, and factors of the masses."""
-    import mujoco
-
     model = mujoco.MjModel.from_xml_path(str(robot.model))
 
     def off() -> float:
@@ -304,8 +295,6 @@ def _healthy(robot: Robot, random: np.random.Generator) -> tuple[dict[str, Joint
 
 def _bodies(robot: Robot) -> list[tuple[str, tuple[str, ...], float]]:
     """Return every body with the judged joints that move it and its centre's distance from its own frame, m."""
-    import mujoco
-
     model = mujoco.MjModel.from_xml_path(str(robot.model))
     found: list[tuple[str, tuple[str, ...], float]] = []
     for i in range(1, model.nbody):

@@ -5,8 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from validation.rigs.laws import Play
 
@@ -151,13 +154,8 @@ def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Ar
         levels = random.uniform(-half, half, int(t[-1] / HOLD_S) + 2)
         steps = levels[(t / HOLD_S).astype(int)]
         # A planner turns steps into ramps.
-        kept, smooth = np.exp(-STEP_S / 0.12), np.empty_like(t)
-        first = second = 0.0
-        for i, x in enumerate(steps * rise):
-            first = x + (first - x) * kept
-            second = first + (second - first) * kept
-            smooth[i] = second
-        return smooth
+        kept = np.exp(-STEP_S / 0.12)
+        return np.asarray(lfilter([(1 - kept) ** 2], np.convolve([1, -kept], [1, -kept]), steps * rise))
     frequency = np.geomspace(SLOWEST_HZ, FASTEST_HZ, HARMONICS)
     size = (frequency / frequency[0]) ** -0.6
     phase = random.uniform(0, TURN, HARMONICS)
@@ -165,7 +163,7 @@ def _motion(kind: str, t: Array, half: float, random: np.random.Generator) -> Ar
     return np.asarray(half * rise * waves / np.abs(waves).max())
 
 
-def actuator_of(mujoco: Any, model: Any, joint: str) -> int:
+def actuator_of(model: Any, joint: str) -> int:
     """Return the number of the first actuator of a joint, or of a tendon that begins at it."""
     number, tendon = model.joint(joint).id, int(mujoco.mjtTrn.mjTRN_TENDON)
     for i in range(model.nu):
@@ -177,7 +175,7 @@ def actuator_of(mujoco: Any, model: Any, joint: str) -> int:
     raise KeyError(joint)
 
 
-def loaded(mujoco: Any, path: Path, truth: Truth) -> Any:
+def loaded(path: Path, truth: Truth) -> Any:
     """Return a model with the extra mass of a truth."""
     spec = mujoco.MjSpec.from_file(str(path))
     if truth.load:
@@ -188,24 +186,13 @@ def loaded(mujoco: Any, path: Path, truth: Truth) -> Any:
     return spec.compile()
 
 
-def _tilted(gravity: Array, tilt_rad: tuple[float, float]) -> Array:
-    """Return gravity in the frame of a tilted base, m/s^2, [3]."""
-    (sx, sy), (cx, cy) = np.sin(tilt_rad), np.cos(tilt_rad)
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    return np.asarray((about_x @ about_y).T @ gravity)
-
-
 class _Plant:
     """Mechanism in MuJoCo, with joint torques from outside."""
 
     def __init__(self, robot: Robot, truth: Truth) -> None:
-        import mujoco
-
-        self.mujoco: Any = mujoco
         self.robot, self.truth = robot, truth
         self.nominal = mujoco.MjModel.from_xml_path(str(robot.model))
-        model = self.model = loaded(mujoco, robot.model, truth)
+        model = self.model = loaded(robot.model, truth)
         model.opt.timestep, model.opt.integrator = STEP_S, int(mujoco.mjtIntegrator.mjINT_EULER)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         model.dof_damping[:] = 0.0
@@ -226,7 +213,7 @@ class _Plant:
             number = model.body(body).id
             model.body_mass[number] *= factor
             model.body_inertia[number] *= factor
-        model.opt.gravity[:] = _tilted(model.opt.gravity, truth.tilt_rad)
+        model.opt.gravity[:] = Rotation.from_euler("XY", truth.tilt_rad).inv().apply(model.opt.gravity)
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def run(
@@ -238,7 +225,7 @@ class _Plant:
         each: int,
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Return readings of every joint and commands, [T / each] each."""
-        mujoco, model, robot = self.mujoco, self.model, self.robot
+        model, robot = self.model, self.robot
         data, n = mujoco.MjData(model), len(self.names)
         law = {key: self._values(key) for key in JointLaw.__slots__}
         damping = law["viscous"] * self.nominal.dof_damping[self.dofs] + law["more_viscous"]
@@ -295,10 +282,11 @@ class _Flight:
     def __init__(self, t: Array, start: Array, random: np.random.Generator) -> None:
         self.place = start + np.stack([_motion("multisine", t, FLIES_M, random) for _ in range(3)], axis=1)
         angles = np.stack([_motion("multisine", t, FLIES_RAD, random) for _ in range(3)], axis=1)
-        self.turn = _from_angles(angles)
-        turned = np.gradient(self.turn, STEP_S, axis=0)
-        speed = np.gradient(self.place, STEP_S, axis=0), 2 * _times(_inverse(self.turn), turned)[:, 1:]
-        self.speed = np.concatenate(speed, axis=1)
+        turn = Rotation.from_euler("xyz", angles)
+        self.turn = turn.as_quat(scalar_first=True)
+        # The path begins and ends at rest.
+        rates = np.pad((turn[:-2].inv() * turn[2:]).as_rotvec() / (2 * STEP_S), ((1, 1), (0, 0)), "edge")
+        self.speed = np.concatenate((np.gradient(self.place, STEP_S, axis=0), rates), axis=1)
         self.force = HEAVY * np.gradient(self.speed, STEP_S, axis=0)
 
     def carry(self, k: int, data: Any) -> None:
@@ -315,28 +303,6 @@ class _Flight:
         return found | {f"{name}_{part}": v for part, v in zip(("qw", "qx", "qy", "qz"), turn.T, strict=True)}
 
 
-def _from_angles(angles: Array) -> Array:
-    """Return quaternions of rotations about x, then y, then z, [T, 4]; angles [T, 3]."""
-    found = np.tile([1.0, 0.0, 0.0, 0.0], (len(angles), 1))
-    for i in range(3):
-        about = np.zeros((len(angles), 4))
-        about[:, 0], about[:, i + 1] = np.cos(angles[:, i] / 2), np.sin(angles[:, i] / 2)
-        found = _times(about, found)
-    return found
-
-
-def _times(a: Array, b: Array) -> Array:
-    """Return products of quaternions, [T, 4]."""
-    scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
-    vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
-    return np.concatenate((scalar, vector), axis=1)
-
-
-def _inverse(a: Array) -> Array:
-    """Return the inverse of unit quaternions, [T, 4]."""
-    return np.asarray(a * [1.0, -1.0, -1.0, -1.0])
-
-
 class _Drive:
     """Actuator of one joint: a position loop, or a motor whose commands follow a motion from outside."""
 
@@ -344,7 +310,7 @@ class _Drive:
         model = plant.nominal
         self.name, self.index, self.each = name, plant.names.index(name), each
         self.law = plant.truth.laws.get(name, JointLaw())
-        number = actuator_of(plant.mujoco, model, name)
+        number = actuator_of(model, name)
         self.follows = name in plant.robot.follows
         self.gain, self.gear = float(model.actuator_gainprm[number, 0]), float(model.actuator_gear[number, 0])
         self.kd = -float(model.actuator_biasprm[number, 2])

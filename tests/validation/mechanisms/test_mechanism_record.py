@@ -73,7 +73,7 @@ def test_every_fault_of_the_whole_mechanism_changes_a_joint(name, joint, healthy
 
 
 def test_a_load_adds_its_share_of_the_last_body_s_mass():
-    before, after = (loaded(mujoco, ROBOTS["camera"].model, truth) for truth in (HEALTHY, Truth({}, load=0.5)))
+    before, after = (loaded(ROBOTS["camera"].model, truth) for truth in (HEALTHY, Truth({}, load=0.5)))
     added = after.body_subtreemass[0] - before.body_subtreemass[0]
     assert added == pytest.approx(0.5 * before.body("camera").mass[0])
     centre = [model.body("load").pos if model is after else model.body("camera").ipos for model in (before, after)]
