@@ -6,13 +6,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.quantity import Quantity
 from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
 from softarm.diagnosis.engine.thresholds import RIG
 from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.rigs.owner_units import owners
 from softarm.schemas.verdict import Interval
-from softarm.simulator.effects import Effect
+from softarm.simulator.effects import Effect, Parameter
 
 # Prefixes of features that hold nothing of the view's own measured channels.
 INPUTS = ("command", "base", "force", "torque", "current", "time since reversal")
@@ -38,9 +39,9 @@ def neutral_values(effects: Sequence[Effect]) -> dict[str, float]:
 def given_values(about: TableStage, effects: Sequence[Effect]) -> dict[str, float]:
     """Return the parameters that a stage.yaml gives under `effects`, in standard units, by 'effect.parameter'.
 
-    Raises TrialError for an effect or a parameter that the stage does not have.
+    Raises TrialError for an effect or a parameter that the stage does not have, or a value without a physical meaning.
     """
-    known = {e.name.rpartition(".")[2]: {p.name: p.unit for p in e.parameters} for e in effects}
+    known = {e.name.rpartition(".")[2]: {p.name: p for p in e.parameters} for e in effects}
     units, found = owners(about), {}
     for name, values in about.effects.items():
         if name not in known:
@@ -54,8 +55,22 @@ def given_values(about: TableStage, effects: Sequence[Effect]) -> dict[str, floa
                     f"effects: {about.name}.{name}.{parameter}: unknown parameter; allowed {', '.join(known[name])}; "
                     "correct it"
                 )
-            found[f"{name}.{parameter}"] = value / units.get(known[name][parameter], ("", 1.0))[1]
+            own = known[name][parameter]
+            unit, number = units.get(own.unit, (own.unit, 1.0))
+            if not (permitted := _permitted(own, unit)).admits(value):
+                raise TrialError(f"effects: {about.name}.{name}.{parameter}: {permitted.complaint(value)}; correct it")
+            found[f"{name}.{parameter}"] = value / number
     return found
+
+
+def _permitted(parameter: Parameter, unit: str) -> Quantity:
+    """Return the values with a physical meaning; bounds from recordings would refuse a valid patch on others."""
+    if parameter.name.startswith("scale") and -1 < parameter.low < 0:
+        return Quantity(unit=unit, low=-1.0, above=True)
+    # A ceiling, whose neutral value is its highest, may have either sign.
+    if parameter.low < 0 or parameter.neutral == parameter.high:
+        return Quantity(unit=unit)
+    return Quantity(unit=unit, low=0.0, above=parameter.low > 0)
 
 
 class RigView(View):

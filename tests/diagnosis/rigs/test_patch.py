@@ -1,5 +1,7 @@
 """The patch of a rig: a stage.yaml of the calibrated model, which the same command diagnoses again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -8,7 +10,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
 from softarm.diagnosis.rigs import patch
 from softarm.diagnosis.rigs.stage import view_of
-from tests.diagnosis.rigs.recordings import SERVO
+from tests.diagnosis.rigs.recordings import SERVO, recording
 from tests.diagnosis.verdicts import with_parameters as found
 
 T = np.arange(0, 4, 0.01)
@@ -89,9 +91,28 @@ def test_the_masses_of_a_chain_are_calibrated_in_its_model(inertia, tmp_path):
         ("{claw.gain: {scale: 0.1}}", "no mechanism claw"),
         ("{grip.slack: {gap: 0.1}}", "grip.slack: unknown, or no effect that"),
         ("{grip.gain: {size: 0.1}}", "grip.gain.size: unknown parameter"),
+        ("{grip.second_order: {frequency: 0}}", "grip.second_order.frequency: is 0; allowed above 0 Hz"),
+        ("{grip.rate_limit: {rate: -5}}", "grip.rate_limit.rate: is -5; allowed above 0 deg/s"),
+        ("{grip.lag: {rise: -0.1}}", "grip.lag.rise: is -0.1; allowed 0 or more s"),
     ],
 )
 def test_a_wrong_effect_is_refused_with_what_there_is(effects, text, servo, tmp_path):
     path = write(tmp_path / "other.yaml", f"name: grip\n{SERVO}effects: {effects}\n")
     with pytest.raises(TrialError, match=text):
         viewed(path, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "text"),
+    [
+        ("mass", {"scale": -1.0}, "cart.mass.scale: is -1; allowed above -1"),
+        ("stiction", {"force": 1.0, "speed": 0.0}, "cart.stiction.speed: is 0; allowed above 0 m/s"),
+        ("coulomb_friction", {"force": -3.0}, "cart.coulomb_friction.force: is -3; allowed 0 or more N"),
+    ],
+)
+def test_an_effect_without_a_physical_meaning_is_refused(effect, values, text):
+    channels = {"force": {"force": np.sin(3 * T)}, "measured": {"position": -0.05 * np.sin(3 * T)}}
+    trial = recording("push", "sine", T, channels, ("cart", "driven_mass", {"mass_kg": 2.0}))
+    stage = replace(trial.stage, effects={effect: values})
+    with pytest.raises(TrialError, match=text):
+        view_of([replace(trial, stage=stage)])
