@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import backlash, latency, like, of_stage
+from softarm.diagnosis.rigs.effects import backlash, damping, drag, dry_friction, latency, like, of_stage, stiction
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 
 # Share of the usual force: a friction that matters.
@@ -117,11 +117,7 @@ def _drive(s: DrivenMassScales) -> Iterator[Effect]:
 def _forces(s: DrivenMassScales) -> Iterator[Effect]:
     force, speed, give, usual = s.force, s.speed, GIVE_SHARE * s.travel, USUAL * s.usual
     half = 0.5 * force
-    viscous, drag = f"{s.force_unit} s/{s.length}", f"{s.force_unit} s^2/{s.length}^2"
-    yield like(
-        "rail.coulomb_friction",
-        "dry friction",
-        "{stage} has {force} of dry friction",
+    yield dry_friction(
         strength("force", s.force_unit, 0.0, 0.0, 1.5 * force, usual, "either way; up to it the mass stays"),
         shape("give", s.length, give, 0.0, 100 * give, 2 * give, "travel over which it bends before it slips"),
     )
@@ -132,29 +128,15 @@ def _forces(s: DrivenMassScales) -> Iterator[Effect]:
         "Olsson et al. 1998, Friction models and friction compensation",
         plain="the dry friction of {stage} differs by direction, {force} either way",
     )
-    yield Effect(
-        "stiction",
-        (
-            strength("force", s.force_unit, 0.0, 0.0, force, 0.5 * usual, "beyond the sliding friction"),
-            shape("speed", s.speed_unit, 0.02 * speed, 1e-3 * speed, 0.5 * speed, 0.05 * speed, "where 37 % remain"),
-        ),
-        "dry friction is larger at rest and at creeping speed (Stribeck)",
-        "Armstrong-Helouvry et al. 1994, A survey of models for the control of machines with friction",
-        plain="{stage} sticks: {force} more friction at rest",
+    yield stiction(
+        strength("force", s.force_unit, 0.0, 0.0, force, 0.5 * usual, "beyond the sliding friction"),
+        shape("speed", s.speed_unit, 0.02 * speed, 1e-3 * speed, 0.5 * speed, 0.05 * speed, "where 37 % remain"),
     )
-    yield like(
-        "rail.coulomb_friction",
-        "viscous friction; a motor's back-EMF acts alike",
-        "{stage} has viscous friction of {viscous}",
-        strength("viscous", viscous, 0.0, 0.0, 3 * force / speed, usual / speed, "friction per unit of speed"),
-        name="damping",
-    )
-    yield like(
-        "arm.drag",
-        "quadratic drag",
-        "drag slows {stage} at speed",
-        strength("coefficient", drag, 0.0, 0.0, 3 * force / speed**2, usual / speed**2, "times the speed squared"),
-    )
+    per_speed, per_square = f"{s.force_unit} s/{s.length}", f"{s.force_unit} s^2/{s.length}^2"
+    top = 3 * force / speed
+    yield damping(strength("viscous", per_speed, 0.0, 0.0, top, usual / speed, "friction per unit of speed"))
+    top = 3 * force / speed**2
+    yield drag(strength("coefficient", per_square, 0.0, 0.0, top, usual / speed**2, "times the speed squared"))
     yield like(
         "arm.tilt",
         "a constant force: the rail is tilted, a weight or a spring pulls, or the input's zero is wrong",

@@ -46,6 +46,31 @@ def backlash(gap: Parameter) -> Effect:
     return like("rail.backlash", meaning, "{stage} has {gap} of play", gap)
 
 
+def dry_friction(size: Parameter, give: Parameter) -> Effect:
+    """Return the effect of dry friction, which bends over a travel before it slips."""
+    plain = f"{{stage}} has {{{size.name}}} of dry friction"
+    return like("rail.coulomb_friction", "dry friction", plain, size, give)
+
+
+def stiction(size: Parameter, speed: Parameter) -> Effect:
+    """Return the effect of more dry friction at rest, which fades at a speed."""
+    meaning = "dry friction is larger at rest and at creeping speed (Stribeck)"
+    source = "Armstrong-Helouvry et al. 1994, A survey of models for the control of machines with friction"
+    plain = f"{{stage}} sticks: {{{size.name}}} more friction at rest"
+    return Effect("stiction", (size, speed), meaning, source, plain=plain)
+
+
+def damping(viscous: Parameter) -> Effect:
+    """Return the effect of friction that is proportional to the speed."""
+    meaning, plain = "viscous friction; a motor's back-EMF acts alike", "{stage} has viscous friction of {viscous}"
+    return like("rail.coulomb_friction", meaning, plain, viscous, name="damping")
+
+
+def drag(coefficient: Parameter) -> Effect:
+    """Return the effect of friction that grows with the speed squared."""
+    return like("arm.drag", "friction grows with the speed squared", "drag slows {stage} at speed", coefficient)
+
+
 def latency(delay: Parameter) -> Effect:
     """Return the effect of readings that are older than their stamps."""
     plain = "the readings of {stage} are {delay} older than their stamps"

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from softarm.diagnosis.rigs.effects import latency, like, of_stage
+from softarm.diagnosis.rigs.effects import backlash, damping, drag, dry_friction, latency, like, of_stage, stiction
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
 from softarm.simulator.effect_table import Effect, Parameter, shape, strength
@@ -32,7 +32,6 @@ GIVE_RAD, GIVE_SHARE = 1e-3, 1e-3
 CREEP = 0.3
 # The same of friction in a gear: at this one it is practically constant.
 CONSTANT = 5.0
-_FRICTION = "Olsson et al. 1998, Friction models and friction compensation"
 
 # Pairs that are easily mistaken for each other, and the motion that separates them.
 _RIVALS: tuple[tuple[str, str, str], ...] = (
@@ -245,24 +244,14 @@ def _loop(s: JointScales) -> Iterator[Effect]:
 def _friction(s: JointScales) -> Iterator[Effect]:
     usual, dry = USUAL * s.usual, s.joint.friction
     most, exemplar = _range(s.lost, max(1.5 * s.torque, 3 * dry), dry + usual)
-    yield like(
-        "arm.coulomb_friction",
-        "dry friction",
-        "{stage} has {torque} of dry friction",
+    yield dry_friction(
         strength("torque", s.force, 0.0, 0.0, most, exemplar, "frictionloss"),
         shape("give", s.length, s.give, 0.0, 20 * s.give, 2 * s.give, "travel over which it bends before it slips"),
     )
-    yield Effect(
-        "stiction",
-        (
-            strength("torque", s.force, 0.0, 0.0, s.torque, usual, "beyond the sliding friction"),
-            shape(
-                "speed", f"{s.length}/s", 0.05 * s.speed, 1e-3 * s.speed, CREEP * s.speed, 0.05 * s.speed, "37 % remain"
-            ),
-        ),
-        "dry friction is larger at rest and at creeping speed (Stribeck)",
-        _FRICTION,
-        plain="{stage} sticks: {torque} more friction at rest",
+    slow, most = 0.05 * s.speed, CREEP * s.speed
+    yield stiction(
+        strength("torque", s.force, 0.0, 0.0, s.torque, usual, "beyond the sliding friction"),
+        shape("speed", f"{s.length}/s", slow, 1e-3 * s.speed, most, slow, "37 % remain"),
     )
     if s.driven:
         yield Effect(
@@ -289,18 +278,9 @@ def _of_speed(s: JointScales) -> Iterator[Effect]:
     usual, per_speed, per_square = USUAL * s.usual, f"{s.force} s/{s.length}", f"{s.force} s^2/{s.length}^2"
     top, own = 3 * s.torque / s.speed, s.joint.viscous
     most, exemplar = _range(s.lost / s.speed, max(top, 3 * own), own + usual / s.speed)
-    yield like(
-        "arm.damping",
-        "viscous friction; a motor's back-EMF acts alike",
-        "{stage} has viscous friction of {viscous}",
-        strength("viscous", per_speed, 0.0, 0.0, most, exemplar, "per unit of speed"),
-    )
-    yield like(
-        "arm.drag",
-        "friction grows with the speed squared",
-        "drag slows {stage} at speed",
-        strength("coefficient", per_square, 0.0, 0.0, top / s.speed, usual / s.speed**2, "times the speed squared"),
-    )
+    yield damping(strength("viscous", per_speed, 0.0, 0.0, most, exemplar, "per unit of speed"))
+    top, exemplar = top / s.speed, usual / s.speed**2
+    yield drag(strength("coefficient", per_square, 0.0, 0.0, top, exemplar, "times the speed squared"))
 
 
 def _bodies(s: JointScales) -> Iterator[Effect]:
@@ -367,12 +347,7 @@ def _payload(s: JointScales) -> Effect:
 
 def _sensor(s: JointScales) -> Iterator[Effect]:
     play = min(max(5 * s.resolution, 0.005 * s.travel), 0.1 * s.travel)
-    yield like(
-        "rail.backlash",
-        "play between the joint and its sensor",
-        "{stage} has {gap} of play",
-        strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),
-    )
+    yield backlash(strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"))
     if s.load:
         most = 0.2 if s.joint.turns else 0.2 * s.travel
         yield like(
