@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.body_terms import torque
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
-from softarm.diagnosis.rigs.mjcf.torques import torque
 from softarm.diagnosis.rigs.motion import Motion
 
 # Degrees per radian, and the relative tolerance of a ratio that is taken for it.

@@ -9,9 +9,9 @@ import numpy as np
 from softarm.diagnosis.data.poses import Motion
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.body_terms import load, torque
 from softarm.diagnosis.rigs.mjcf.checks import DEGREES, LEFT, unexplained
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint, Mechanism
-from softarm.diagnosis.rigs.mjcf.torques import load, torque
 
 # Zeros that are tried, rad: descriptions of one arm usually differ by right angles.
 TURNS_RAD = (0.5 * math.pi, -0.5 * math.pi, math.pi)

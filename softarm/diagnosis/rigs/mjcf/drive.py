@@ -10,8 +10,8 @@ from softarm.diagnosis.rigs.grid import held_integral, held_means
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf.activation import Strength
 from softarm.diagnosis.rigs.mjcf.actuators import Actuator, Actuators
+from softarm.diagnosis.rigs.mjcf.body_terms import BodyTerms
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
-from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.motion import Motion
 
 # Time for which the first and the last input hold beyond a recording, s.
@@ -65,12 +65,12 @@ class Drive:
         """Return stamps and integral of a signal made of the commands of each trial, such as `Actuator.sent`."""
         return [held_integral(each, signal(each.__getitem__), MARGIN_S) for each in self._commands]
 
-    def follow(self, motions: Sequence[Motion], others: OtherJoints, actuators: Actuators) -> None:
+    def follow(self, motions: Sequence[Motion], bodies: BodyTerms, actuators: Actuators) -> None:
         """Set `lengths` and `sent`, and strengths, by the motion of the joint and of all others in each trial."""
         self._motions, self.lengths = motions, list[tuple[Array, Array]]()
         if self.actuator is not None and self.actuator.by_motion:
-            self._activate(self.actuator.shares, others, actuators)
-        around = others.around
+            self._activate(self.actuator.shares, bodies, actuators)
+        around = bodies.around
         pairs = zip(self.inputs, motions if self.inputs else (), strict=True)
         self.sent = [
             held_means(i, m.grid.t_s[0] - 0.5 * m.grid.step_s, m.grid.step_s, len(m.grid.t_s)) for i, m in pairs
@@ -84,10 +84,10 @@ class Drive:
         both = zip(self.sent, self.lengths, strict=True)
         self.sent = [command - kp * length - kd * speed for command, (length, speed) in both]
 
-    def _activate(self, shares: Mapping[str, Actuator], others: OtherJoints, actuators: Actuators) -> None:
+    def _activate(self, shares: Mapping[str, Actuator], bodies: BodyTerms, actuators: Actuators) -> None:
         """Set the inputs of actuators whose strengths change with the motion."""
         self.shares, self.strengths = {name: [] for name in shares}, {name: [] for name in shares}
-        for commands, m, course in zip(self._commands, self._motions, others.courses, strict=True):
+        for commands, m, course in zip(self._commands, self._motions, bodies.courses, strict=True):
             t_s, step_s = m.grid.t_s, m.grid.step_s
             around = Series(t_s - 0.5 * step_s, {})  # values hold half a step to either side of their sample
             total = np.zeros_like(t_s)

@@ -9,9 +9,9 @@ from softarm.diagnosis.answer.worst import window, worst
 from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine.result import Diagnosis, Film, Overlay
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs.mjcf.body_terms import continuous
 from softarm.diagnosis.rigs.mjcf.drive import columns
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism, mechanism
-from softarm.diagnosis.rigs.mjcf.others import continuous
 
 FRAMES_PER_S = 20.0
 # Factors by which deviations may be enlarged, and the largest drawn deviation as a share of the mechanism's extent.

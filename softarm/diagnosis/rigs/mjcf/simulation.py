@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs.grid import held_means
 from softarm.diagnosis.rigs.laws import joint as laws
+from softarm.diagnosis.rigs.mjcf.body_terms import BodyChange, BodyTerms, Place
 from softarm.diagnosis.rigs.mjcf.drive import Drive
 from softarm.diagnosis.rigs.mjcf.effects import GAIN_OF, MASS
 from softarm.diagnosis.rigs.mjcf.links import PLACE
 from softarm.diagnosis.rigs.mjcf.mechanism import Joint
-from softarm.diagnosis.rigs.mjcf.slopes import BodyChange, Place, Slopes
 from softarm.diagnosis.rigs.mjcf.stepping import Stepping
 from softarm.diagnosis.rigs.motion import Motion, directions
 
@@ -57,7 +57,7 @@ class JointSimulation:
         self,
         joint: Joint,
         drive: Drive,
-        slopes: Slopes,
+        body_terms: BodyTerms,
         steps: Stepping,
         motions: Sequence[Motion],
         each: int,
@@ -67,14 +67,14 @@ class JointSimulation:
         Args:
             joint: the joint.
             drive: its actuator, with the commands of all trials.
-            slopes: rigid-body terms of all trials, and their changes.
+            body_terms: rigid-body terms of all trials, and their changes.
             steps: the model's own integration.
             motions: measured motion of each trial.
             each: integration steps per sample.
         """
         self._joint, self._actuator, self._motions = joint, drive.actuator, motions
         self._inputs, self._each = {"": drive.inputs, **drive.shares}, each
-        self._slopes, self._steps = slopes, steps
+        self._body_terms, self._steps = body_terms, steps
         self._along = tuple(map(self._stepped, zip(*drive.lengths, strict=True))) if drive.lengths else (0.0, 0.0)
         self._parts = [(f"{MASS}{part}.scale", part) for part in joint.parts]
         self._gains = [(f"{GAIN_OF}{name}.scale", name) for name in drive.shares]
@@ -164,7 +164,7 @@ class JointSimulation:
             moved: change of the windows' starts, [W, 2].
         """
         bodies = [self._body(at) for at in values]
-        paths = {body: self._slopes.at(body, terms) for body in dict.fromkeys(bodies)}
+        paths = {body: self._body_terms.at(body, terms) for body in dict.fromkeys(bodies)}
         inputs = laws.Inputs.of([self._drive(at) for at in values], [paths[body] for body in bodies])
         windows = self._windows._replace(starts=self._windows.starts + moved)
         return laws.residuals(windows, inputs, np.array([self._law(at) for at in values]), self._each)

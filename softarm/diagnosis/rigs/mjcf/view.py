@@ -17,6 +17,7 @@ from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.grid import fastest_change, resolution, usual_step
 from softarm.diagnosis.rigs.laws import joint as laws
 from softarm.diagnosis.rigs.mjcf import checks
+from softarm.diagnosis.rigs.mjcf.body_terms import LENGTH_SHARES, BodyTerms, Torques, features, split
 from softarm.diagnosis.rigs.mjcf.descriptions import misread, right_description
 from softarm.diagnosis.rigs.mjcf.drive import Drive, columns
 from softarm.diagnosis.rigs.mjcf.effects import (
@@ -30,10 +31,7 @@ from softarm.diagnosis.rigs.mjcf.effects import (
 )
 from softarm.diagnosis.rigs.mjcf.mechanism import mechanism
 from softarm.diagnosis.rigs.mjcf.noise import averaged, combined, samples_averaged
-from softarm.diagnosis.rigs.mjcf.others import OtherJoints
 from softarm.diagnosis.rigs.mjcf.simulation import CREEP, STEPPED, JointSimulation
-from softarm.diagnosis.rigs.mjcf.slopes import LENGTH_SHARES, Slopes
-from softarm.diagnosis.rigs.mjcf.torques import Torques, features, split
 from softarm.diagnosis.rigs.mjcf.zeros import Zeros
 from softarm.diagnosis.rigs.motion import (
     SAMPLES_LEAST,
@@ -102,14 +100,13 @@ class JointView(RigView):
         step = resolution([t.channel("measured")[joint.name] for t in trials])
         limit = largest_acceleration(trials, joint.name, step)
         self._motions = motions(trials, joint.name, step, limit, rate_hz=RATE_HZ)
-        self._others = OtherJoints(self._mechanism, joint, trials, self._motions)
-        self._drive.follow(self._motions, self._others, self._mechanism.actuators)
-        self._slopes = Slopes(self._mechanism, joint, self._others)
-        self._torques = Torques(self._slopes, self._motions)
-        self._held = [self._mechanism.held(joint, course) for course in self._others.courses]
+        self._bodies = BodyTerms(self._mechanism, joint, trials, self._motions)
+        self._drive.follow(self._motions, self._bodies, self._mechanism.actuators)
+        self._torques = Torques(self._bodies, self._motions)
+        self._held = [self._mechanism.held(joint, course) for course in self._bodies.courses]
         measured = trials[0].channel("measured").columns.keys() & self._mechanism.joints.keys()
         self.driven_by = self._mechanism.coupled(joint, measured)
-        still = checks.assumptions(self._mechanism, joint, self._others.around[0])
+        still = checks.assumptions(self._mechanism, joint, self._bodies.around[0])
         self.assumptions = (*still, *self._stuck(), *self._refuse_mistakes(trials))
         self._scales = scales = self._measure(step)
         own = joint_effects(stage.name, scales)
@@ -135,7 +132,7 @@ class JointView(RigView):
         out = [self._out(k) for k in range(len(trials))]
         self._edges = [cut_edges(window_edges(m.grid, window_s), o) for m, o in zip(self._motions, out, strict=True)]
         sent: Sequence[Array | None] = self._drive.sent or [None] * len(trials)
-        terms = split(self._slopes.base, self._motions)
+        terms = split(self._bodies.base, self._motions)
         signals = [features(*each, scales.speed) for each in zip(self._motions, self._edges, terms, sent, strict=True)]
         seen = [self._compared(k, out[k]) for k in range(len(trials))]
         if any(each.any() for each in out):
@@ -158,7 +155,7 @@ class JointView(RigView):
     def _simulated(self, edges: Sequence[NDArray[np.int64]]) -> JointSimulation:
         """Return the simulation of windows with these edges, by trial."""
         stepping = self._mechanism.stepping
-        found = JointSimulation(self._joint, self._drive, self._slopes, stepping, self._motions, self._each)
+        found = JointSimulation(self._joint, self._drive, self._bodies, stepping, self._motions, self._each)
         (nominal,), slow = self._values([{}]), SLOW * 0.3 * self._scales.speed
         found.start(self._seen, edges, slow, nominal, self._noise)
         return found
@@ -200,13 +197,13 @@ class JointView(RigView):
         out then. A sample depends on motion between samples if it moves by more than the floor when these accelerations
         are smoothed, and by more than their noise alone explains. If the majority does, all are kept.
         """
-        if not any(self._others.around):
+        if not any(self._bodies.around):
             self.floor = np.array([self._own_floor])
             return
         raw = self._raw_gaps([{}])[0]
 
         def moved(*, noisy: bool, smooth: bool) -> Array:
-            return np.asarray(self._raw_gaps([{}], self._others.disturbed(noisy, smooth))[0] - raw)
+            return np.asarray(self._raw_gaps([{}], self._bodies.disturbed(noisy, smooth))[0] - raw)
 
         noise, smooth = moved(noisy=True, smooth=False), moved(noisy=False, smooth=True)
         self.floor = self._raised_floor(noise)
@@ -228,7 +225,7 @@ class JointView(RigView):
         own, felt = self._own_floor, min(rms(noise[kept]), rms(self._raw_gaps([{}])))
         if felt <= FELT_NOISE * own:
             return np.array([own])
-        shared = averaged(self._others.shared_noise[None], slices(self.trial), self._samples)[0]
+        shared = averaged(self._bodies.shared_noise[None], slices(self.trial), self._samples)[0]
         return np.array([combined(own, felt, float(np.nanmean((noise * shared)[kept])))])
 
     def _feels_steps(self) -> bool:
@@ -245,7 +242,7 @@ class JointView(RigView):
     def _pushed(self) -> float:
         """Return the acceleration by an error of the position, 1/s^2; negative if a loop or a spring reduces it."""
         held = self._joint.spring + (self._actuator.kp if self._actuator is not None else 0.0)
-        base = self._slopes.base
+        base = self._bodies.base
         return float(np.quantile(-(base[laws.BY_POSITION] + held) / base[laws.INERTIA], 0.9))
 
     def _leave_out(self, large: NDArray[np.bool_]) -> None:
@@ -290,7 +287,7 @@ class JointView(RigView):
         """Raise TrialError for a joint that is hardly ever free; seen: its measured values, NaN where it is not."""
         if (free := sum(int(np.isfinite(each).sum()) for each in seen)) >= FREE_LEAST:
             return
-        course = self._others.courses[0]
+        course = self._bodies.courses[0]
         pair = self._mechanism.touching(self._joint, course)
         touch = f": {pair[0]} touches {pair[1]} in {pair[2]} of {len(course.centre.position)}" if pair else ""
         remedy = ", exclude this pair in the model if the robot's bodies do not touch" if pair else ""
@@ -313,7 +310,7 @@ class JointView(RigView):
             raise TrialError("\n".join(found))
         if not self._drive.sent:
             smooth = checks.smoother(self._motions, [m.speed for m in self._motions], free, NARROW)
-            if wrong := misread(self._mechanism, joint, self._others.smoothed(smooth)):
+            if wrong := misread(self._mechanism, joint, self._bodies.smoothed(smooth)):
                 raise TrialError(f"{where}: {wrong}")
             return []
         sent = self._drive.acting()
@@ -323,14 +320,14 @@ class JointView(RigView):
             raise TrialError("\n".join(found))
 
         def right() -> str:
-            return right_description(self._mechanism, joint, self._others.smoothed(smooth), signals.command)
+            return right_description(self._mechanism, joint, self._bodies.smoothed(smooth), signals.command)
 
         return [*checks.unlike(joint, signals, right)]
 
     def _terms_along(self, along: Sequence[Motion]) -> list[Array]:
         """Return the rigid-body terms of each trial along a motion of the joint, [ROWS, T]."""
         own = along is self._motions
-        return split(self._slopes.base, along) if own else self._others.terms_along(along)
+        return split(self._bodies.base, along) if own else self._bodies.terms_along(along)
 
     def _stuck(self) -> list[str]:
         if self._actuator is None or not self._actuator.kp > 0:
@@ -341,11 +338,11 @@ class JointView(RigView):
     def _measure(self, step: float) -> JointScales:
         joint, actuator, found = self._joint, self._actuator, self._motions
         speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.99))
-        torques, slopes = self._torques, self._slopes
-        needed, loads = torques.total(slopes.base), np.abs(torques.load(slopes.base))
-        longer = torques.total(slopes.longer(LENGTH_SHARES[-1])) if self._mechanism.carries(joint) else np.zeros(1)
-        heavier, felt = torques.total(slopes.heavier), FELT * rms(needed)
-        inertia = float(np.mean(slopes.base[laws.INERTIA]))
+        torques, bodies = self._torques, self._bodies
+        needed, loads = torques.total(bodies.base), np.abs(torques.load(bodies.base))
+        longer = torques.total(bodies.longer(LENGTH_SHARES[-1])) if self._mechanism.carries(joint) else np.zeros(1)
+        heavier, felt = torques.total(bodies.heavier), FELT * rms(needed)
+        inertia = float(np.mean(bodies.base[laws.INERTIA]))
         floor = joint.viscous * speed + joint.friction  # a model without bodies needs this much at least
         return JointScales(
             joint=joint,
@@ -359,7 +356,7 @@ class JointView(RigView):
             mass=float(rms(heavier) > felt),
             payloads_kg=torques.doubling_kg(FELT),
             moving_kg=self._mechanism.moving_kg(joint),
-            reach=2 * slopes.reach_m,
+            reach=2 * bodies.reach_m,
             either_side=self._mechanism.last_link(self._joint).is_short,
             carries=rms(longer) > felt,
             tilts=tuple(axis for axis, each in torques.tilted().items() if rms(each) > felt),
