@@ -21,14 +21,12 @@ from softarm.diagnosis.engine.shrink import widened
 from softarm.diagnosis.engine.thresholds import NEXT_TO_ANOTHER, ROBOT
 from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.engine.work import Progress
-from softarm.diagnosis.robot import experiments, regime
-from softarm.diagnosis.robot.calibration import calibrated_tip, with_calibration
+from softarm.diagnosis.robot import experiments
 from softarm.diagnosis.robot.candidates import candidates
-from softarm.diagnosis.robot.comparison import Comparison, compare
+from softarm.diagnosis.robot.comparison import Comparison, compare, effect_shrink, held_out_tip_gap, stage_gap
 from softarm.diagnosis.robot.counts import Count, counts
-from softarm.diagnosis.robot.decided import Decided, decide
+from softarm.diagnosis.robot.decided import REGIME_S, Decided, calibrated_tip, decide, largest_regime, with_calibration
 from softarm.diagnosis.robot.drive import SERVO
-from softarm.diagnosis.robot.shrink import effect_shrink, held_out_tip_gap, stage_gap
 from softarm.diagnosis.robot.trial_grid import RATE_HZ
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Interval, NamedEffect, NextExperiment, Shrink, Verdict, Where
@@ -107,7 +105,7 @@ def _regime(comparison: Comparison, found: Examination, stage: str | None) -> st
         return found.slow[stage].where
     for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
         if view.stage == stage:
-            return regime.in_words(view, gaps.fetch([{}])[()])
+            return largest_regime(view, gaps.fetch([{}])[()])
     return "throughout"
 
 
@@ -190,7 +188,7 @@ def _stages(
                 ceiling=gap.after * float(np.sqrt(1 - flexible)),
                 overlays=overlays(view, comparison.trials, before, after, calibrated.residuals.get(view.stage), shown),
                 spectrum=spectrum(view, before, after, RATE_HZ),
-                regimes=regimes(view, before, after, regime.LEAST_S),
+                regimes=regimes(view, before, after, REGIME_S),
                 unexplained=None if features is None else Unexplained(view.stage, explained, tuple(features.items())),
                 total_shrink=gap.total_shrink if point else None,
             )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.robot.chain import stage_of_tip_gap, tip_gap
-from softarm.diagnosis.robot.floors import DRIFT_FLOOR_M_S, drift, slow
+from softarm.diagnosis.robot.comparison import DRIFT_FLOOR_M_S, drift, slow
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import with_joints
 from softarm.schemas.model import Model

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from softarm.diagnosis.robot.regime import in_words
+from softarm.diagnosis.robot.decided import largest_regime
 
 
 def view(samples):
@@ -17,9 +17,9 @@ def view(samples):
 def test_the_regime_and_the_band_of_a_gap_are_named():
     at = view(1200)
     hum = 0.1 * np.sin(2 * np.pi * 5 * at.t_s) * (1 + 9 * at.regimes["falling"])
-    assert in_words(at, hum[:, None]) == "falling, above 2 Hz"
-    assert in_words(at, 0.1 * np.sin(2 * np.pi * 1 * at.t_s)[:, None]) == "throughout, from 0.5 to 2 Hz"
+    assert largest_regime(at, hum[:, None]) == "falling, above 2 Hz"
+    assert largest_regime(at, 0.1 * np.sin(2 * np.pi * 1 * at.t_s)[:, None]) == "throughout, from 0.5 to 2 Hz"
 
 
 def test_trials_too_short_for_a_spectrum_have_no_band():
-    assert in_words(view(100), np.ones((100, 1))) == "throughout"
+    assert largest_regime(view(100), np.ones((100, 1))) == "throughout"
