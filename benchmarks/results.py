@@ -81,7 +81,7 @@ _TRAINING = (*_TASK, *(f"softarm/training/{name}" for name in _TRAINED))
 _PLANNING = (*_TASK, "softarm/training/trajectory")
 _ENGINE = tuple(f"softarm/diagnosis/{name}" for name in ("answer", "data", "engine", "diagnose.py"))
 # Of the soft arm, whose recordings are read by these modules alone.
-_READ = "bags", "checks", "folder", "instants", "mcap", "read", "table_files", "trials"
+_READ = "bags", "checks", "folder", "mcap", "read", "table_files", "trials"
 _DIAGNOSIS = (
     *_SIMULATOR,
     *(f"softarm/diagnosis/data/{name}.py" for name in _READ),

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from softarm.common import files
 from softarm.common.quantity import factor
 from softarm.common.words import did_you_mean
-from softarm.diagnosis.data import bags, instants
+from softarm.diagnosis.data import bags
 from softarm.diagnosis.data.trials import Array, TrialError
 from softarm.schemas.trial import Column, Marks, TableForm
 
@@ -126,7 +127,7 @@ def stamps(table: Table, about: Column, segment: str | None) -> tuple[Array, boo
     if about.source == ROWS and ROWS not in table.columns:
         return None
     raw = _find(table, _name(table, about.source, segment))
-    texts = isinstance(raw, list) and any(instants.instant(cell) for cell in raw)
+    texts = isinstance(raw, list) and any(instant(cell) for cell in raw)
     dates = isinstance(raw, np.ndarray) and raw.dtype.kind == "M"
     if not texts and not dates:
         return column(table, about, segment, None), None
@@ -142,6 +143,25 @@ def stamps(table: Table, about: Column, segment: str | None) -> tuple[Array, boo
     return found + about.add, None
 
 
+def instant(cell: str) -> datetime | None:
+    """Return a cell as a date and time, or None if it is not one; a number such as 20261122 is not one."""
+    text = cell.strip()
+    if not (text[:4].isdigit() and ("T" in text or ":" in text or text.count("-") == 2)):
+        return None
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+def unix_s(moment: datetime) -> float:
+    """Return a date and time in seconds since 1970 UTC; without a time zone it counts as UTC.
+
+    A recording has one clock, and only differences matter.
+    """
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
 def _dates(
     table: Table, cells: Sequence[str], missing: Callable[[str | float], bool], where: str
 ) -> tuple[Array, bool]:
@@ -151,12 +171,12 @@ def _dates(
     for i, cell in enumerate(cells):
         if missing(cell):
             continue
-        if (read := instants.instant(cell)) is None:
+        if (read := instant(cell)) is None:
             raise TrialError(
                 f"{where}, row {table.place(i)}: {cell!r} is not a date and time like the others; repair that row"
             )
         zones.setdefault(read.tzinfo is not None, i)
-        found[i] = instants.unix_s(read)
+        found[i] = unix_s(read)
     if len(zones) > 1:
         raise TrialError(
             f"{where}: row {table.place(zones[True])} has a time zone ({cells[zones[True]].strip()}), row "
@@ -240,7 +260,7 @@ def _delimiter(line: str) -> str:
 
 
 def _is_value(cell: str, delimiter: str) -> bool:
-    return number(cell, delimiter != ",") is not None or instants.instant(cell) is not None or not cell.strip()
+    return number(cell, delimiter != ",") is not None or instant(cell) is not None or not cell.strip()
 
 
 def number(cell: str, comma: bool) -> float | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from softarm.diagnosis.data import bags, instants, table_files
+from softarm.diagnosis.data import bags, table_files
 from softarm.diagnosis.data.stage_file import kind_of
 from softarm.diagnosis.data.still_checks import spread
 from softarm.diagnosis.data.trials import Array, TrialError
@@ -251,7 +251,7 @@ def _rows(source: str, values: Any) -> dict[Key, Any]:
 
 def _is_numeric(raw: Any, comma: bool) -> bool:
     if isinstance(raw, list):
-        good = sum(table_files.number(cell, comma) is not None or instants.instant(cell) is not None for cell in raw)
+        good = sum(table_files.number(cell, comma) is not None or table_files.instant(cell) is not None for cell in raw)
         return good >= NUMBERS_LEAST * len(raw)
     if raw.dtype == object:
         if not all(isinstance(each, list | np.ndarray) for each in raw) or len({len(each) for each in raw}) > 1:
@@ -350,7 +350,7 @@ def _signal(group: int, key: Key, label: str, raws: Sequence[Any], comma: bool) 
     for raw in raws:
         if isinstance(raw, list):
             read, own = _texts(raw, comma)
-            dates = dates or any(instants.instant(cell) for cell in raw[:3])
+            dates = dates or any(table_files.instant(cell) for cell in raw[:3])
             # A row of units below the header.
             if header.unit is None and own and (unit := headers.unit_named(raw[0])) and raw[0].strip() in own:
                 header = headers.read(f"{text} [{unit}]")
@@ -375,8 +375,8 @@ def _signal(group: int, key: Key, label: str, raws: Sequence[Any], comma: bool) 
 def _texts(cells: Sequence[str], comma: bool) -> tuple[Array, list[str]]:
     """Texts as numbers, and the texts that are none."""
     read = [table_files.number(cell, comma) for cell in cells]
-    if all(each is None for each in read[:3]) and any(instants.instant(cell) for cell in cells[:3]):
-        read = [None if (at := instants.instant(cell)) is None else instants.unix_s(at) for cell in cells]
+    if all(each is None for each in read[:3]) and any(table_files.instant(cell) for cell in cells[:3]):
+        read = [None if (at := table_files.instant(cell)) is None else table_files.unix_s(at) for cell in cells]
     gone = {cell.strip() for cell, value in zip(cells, read, strict=True) if value is None or not np.isfinite(value)}
     values = np.array([np.nan if each is None else each for each in read], dtype=float)
     return np.where(np.isfinite(values), values, np.nan), sorted(gone)[:MARKS_MAX]
