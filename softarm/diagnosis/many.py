@@ -17,9 +17,8 @@ from softarm.diagnosis import report
 from softarm.diagnosis.data import stage_file
 from softarm.diagnosis.data.read import TABLES, stage_of_folder
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.diagnose import BUDGET_S
+from softarm.diagnosis.diagnose import BUDGET_S, diagnose_files
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.from_files import diagnose_files
 from softarm.reporting.document import Section, document
 from softarm.reporting.markup import Child, el, join, prose, table, tiles
 from softarm.reporting.numbers import percent

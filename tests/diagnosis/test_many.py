@@ -36,7 +36,7 @@ def asked(monkeypatch, tmp_path):
             return replace(CASES["unknown"], nominal=model)
         return replace(CASES["named"], nominal=model, calibrated=Model())
 
-    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
+    monkeypatch.setattr("softarm.diagnosis.diagnose.diagnose", diagnose)
     monkeypatch.chdir(tmp_path)
     write_trial(tmp_path / "robots" / "one" / "loud", Model(effects={}))
     write_trial(tmp_path / "robots" / "two" / "quiet")

@@ -78,7 +78,7 @@ def run(folder: Path, workers: Workers | None = None) -> None:
 
 def answer(case: Path) -> dict[str, Any]:
     """Return the verdict on a case and its processor time, s; an exception is recorded as a failure."""
-    from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.diagnose import diagnose_files
 
     began, verdict, failure = time.process_time(), None, ""
     margins: dict[str, float] = {}

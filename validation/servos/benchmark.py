@@ -122,7 +122,7 @@ def _compared(case: Path, logs: Path, python: Path) -> dict[str, Any]:
 
 
 def _diagnosed(case: Path) -> dict[str, float]:
-    from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.diagnose import diagnose_files
     from softarm.diagnosis.rigs.mjcf.patch import patched
 
     with TemporaryDirectory() as folder:

@@ -76,7 +76,7 @@ def close_gap(
     from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import rail_motions
-    from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.diagnose import diagnose_files
     from softarm.evaluation.closing import fly, steps
     from softarm.evaluation.closing.closed import Spent, advise
     from softarm.evaluation.closing.outcomes import OLD

@@ -84,7 +84,7 @@ def diagnose(
     from softarm.common import files
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import TABLES, stage_of_folder
-    from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.diagnose import diagnose_files
     from softarm.diagnosis.many import Options, patch
 
     inputs = tuple(map(stage_of_folder, inputs))

@@ -55,7 +55,7 @@ def diagnose(
         ModelFileError: The model is missing or invalid.
         ModuleNotFoundError: The extra `diagnosis` is not installed.
     """
-    from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.diagnose import diagnose_files
 
     paths = [stage_of_folder(Path(recording)) for recording in recordings]
     stage = next((path for path in paths if path.suffix in TABLES), None)

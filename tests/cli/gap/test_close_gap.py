@@ -19,7 +19,7 @@ NONE = verdict("none", gaps=gap(QUIET, QUIET, QUIET))
 @pytest.mark.parametrize("declared", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_the_result_shows_the_ways_and_the_written_files(campaign, tmp_path, monkeypatch, declared):
     without_a_gap = Diagnosis(NONE, Model(), None, (("a", "seed", 1.0),))
-    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", lambda *_, **__: without_a_gap)
+    monkeypatch.setattr("softarm.diagnosis.diagnose.diagnose", lambda *_, **__: without_a_gap)
     monkeypatch.setattr(fly, "TEST_TARGETS", (EASY,))
     monkeypatch.setattr(fly, "cores", lambda: 1)
     monkeypatch.setattr("softarm.cli.gap.close_gap.QUICK", fly.PART)

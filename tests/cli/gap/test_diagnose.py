@@ -50,7 +50,7 @@ def asked(monkeypatch):
             asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,), calibrated=asked.calibrated
         )
 
-    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
+    monkeypatch.setattr("softarm.diagnosis.diagnose.diagnose", diagnose)
     return asked
 
 

@@ -47,7 +47,7 @@ def test_ctrl_c_while_waiting_leaves_the_daemon_running(softarm, daemon, make_st
     [
         ("evaluate", "evaluation.runner.evaluate", "nothing was written"),
         ("dev plan", "training.trajectory.planner.plan", "nothing was written"),
-        ("diagnose x.mcap", "diagnosis.from_files.diagnose_files", "nothing was written"),
+        ("diagnose x.mcap", "diagnosis.diagnose.diagnose_files", "nothing was written"),
         ("train reach --out mine", "training.run.recipe.begin", "no checkpoint was written yet; start again"),
         ("train --sweep a.yaml --out runs", "training.run.sweep.load", "finished runs are kept in runs; the same"),
         ("logs replay x.mcap", "daemon.logbook.logs.parts", "nothing was changed"),

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import Series, TrialError
+from softarm.diagnosis.diagnose import diagnose_files
 from softarm.diagnosis.engine.equal_sets import Prediction
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.from_files import diagnose_files
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import resolution

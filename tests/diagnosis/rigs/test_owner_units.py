@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import TableStage, TableUnit
-from softarm.diagnosis.from_files import diagnose_files
+from softarm.diagnosis.diagnose import diagnose_files
 from softarm.diagnosis.rigs.owner_units import owners
 from tests.diagnosis.rigs.recordings import SERVO
 

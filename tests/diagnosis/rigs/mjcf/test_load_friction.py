@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softarm.diagnosis.from_files import diagnose_files
+from softarm.diagnosis.diagnose import diagnose_files
 from tests.diagnosis.rigs.recordings import described_model
 
 STEP_S, EACH, COUNTS = 5e-4, 20, 4096
