@@ -11,8 +11,8 @@ from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, PHYSICS, delayed, 
 from softarm.schemas.model import Model
 from softarm.simulator.simulator import Simulator
 
-# Two good simulators of one robot differ by 5.4 to 6.6 mm at the tip, without tolerated deviations (`robot/floors.py`);
-# most of it is drift of the cart.
+# Two good simulators of one robot differ by 5.4 to 6.6 mm at the tip, without tolerated deviations
+# (`robot/comparison.py`); most of it is drift of the cart.
 FLOOR_M = 0.009
 
 
