@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import sklearn.tree  # noqa: F401  loads OpenMP, whose threads are counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from softarm.diagnosis.data.trials import Trial, TrialError
