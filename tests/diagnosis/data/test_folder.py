@@ -65,7 +65,7 @@ def test_only_an_untracked_marker_may_be_blank(written):
     edit(written / "mocap.csv", 5, "link3_y", "")
     assert np.isnan(folder.read(written).channels["mocap"]["link3_y"][3])
     edit(written / "pressure.csv", 7, "pressure", "")
-    with pytest.raises(TrialError, match=r"pressure\.csv: column pressure, row 7: '' is not a finite number"):
+    with pytest.raises(TrialError, match="column pressure, row 7: '' is not a finite number; leave the row out"):
         folder.read(written)
 
 
@@ -166,26 +166,4 @@ def test_one_channel_in_two_files_is_rejected(short, in_parquet):
     write(short, in_parquet.parent / "other")
     (in_parquet.parent / "other" / "rail.csv").rename(in_parquet / "rail.csv")
     with pytest.raises(TrialError, match=r"contains rail\.csv and rail\.parquet; remove one of them"):
-        folder.read(in_parquet)
-
-
-@pytest.mark.parametrize(
-    ("value", "says"),
-    [
-        (None, r"column velocity, row 1: nan is not a finite number; leave the row out if nothing was measured"),
-        (np.datetime64("2026-11-22T12:00:00"), r"column velocity does not contain numbers"),
-    ],
-)
-def test_a_column_without_numbers_is_rejected(short, in_parquet, value, says):
-    count = len(short.channels["rail"])
-    others = [0.1 if value is None else value] * (count - 1)
-    change(in_parquet / "rail.parquet", "velocity", pa.array([value, *others]))
-    with pytest.raises(TrialError, match=r"rail\.parquet: " + says):
-        folder.read(in_parquet)
-
-
-def test_a_parquet_file_without_rows_is_rejected(in_parquet):
-    table = parquet.read_table(in_parquet / "rail.parquet")
-    parquet.write_table(table.slice(0, 0), in_parquet / "rail.parquet")
-    with pytest.raises(TrialError, match=r"rail\.parquet: has no rows"):
         folder.read(in_parquet)
