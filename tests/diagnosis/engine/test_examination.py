@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from softarm.diagnosis.answer.calibration import calibrated
 from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fitted import FittedChoice
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
 from tests.diagnosis.engine.gauge import Linear, candidate
@@ -233,8 +234,8 @@ def _unresolved(found, fit):
 
 def test_the_nominal_model_has_its_values_for_the_folds_of_search_and_verdict(found):
     """A search over recordings has other folds than its verdict, and a held effect replaces a value of the model."""
-    found._original = {SWING: 0.5}
-    blocks = len(found.plain.fold)
-    found.plain = replace(found.plain, fold=np.arange(blocks))
-    assert blocks > len(found.choice.null_model.folds)
-    assert found.nominal.fold_points == [{SWING: 0.5}] * blocks
+    held = FittedChoice(found.setup, found.search, found.choice, lambda fit, low, high: (low, high), {SWING: 0.5})
+    blocks = len(held.plain.fold)
+    held.plain = replace(held.plain, fold=np.arange(blocks))
+    assert blocks > len(held.choice.null_model.folds)
+    assert held.nominal.fold_points == [{SWING: 0.5}] * blocks
