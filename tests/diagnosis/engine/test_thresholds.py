@@ -59,14 +59,16 @@ class Energies(Search):
 
     def __init__(self, t, first=100.0, left=100.0):
         self.thresholds, self.stages = t, ("arm",)
-        self._first, self._left = {"arm": first}, {"arm": left}
+        self.problem, self.left = SimpleNamespace(fit=lambda sets: [fit()]), {"arm": first}
+        self.null_model()
+        self.left = {"arm": left}
         acts = {"arm.payload.mass"}, {"rail.lag.time"}
         self.plain = SimpleNamespace(
             whitened=[SimpleNamespace(gaps=SimpleNamespace(view=SimpleNamespace(acts=each))) for each in acts]
         )
 
     def energies(self, fit):
-        return self._left
+        return self.left
 
 
 def is_gain(t, value=1000.0, low=100.0, share=0.5, energy=50.0, first=100.0):
@@ -78,7 +80,7 @@ def is_equivalent(t, lack, gain=1e6, rest=0.0):
     search = Energies(t)
     own = Gain(gain, gain / 2, 2 * gain, {"arm": 0.9}, {"arm": 90.0})
     search.gain = lambda less, more: own
-    search._counted = lambda fit: np.array([rest + lack])
+    search.loss = lambda fit: rest + lack
     return search.is_equivalent(fit(), fit(PAYLOAD), replace(own, value=lack, low=0.9 * lack), own)
 
 
@@ -87,7 +89,7 @@ def test_a_rival_that_removes_as_little_energy_may_be_the_cause_as_well(removed)
     search = Energies(ROBOT)
     own = Gain(45.0, 35.0, 55.0, {"arm": 0.9}, {"arm": removed})
     search.gain = lambda less, more: own
-    search._counted = lambda fit: np.zeros(1)
+    search.loss = lambda fit: 0.0
     same = replace(own, value=0.0, low=-0.1)
     assert search.is_equivalent(fit(), fit(PAYLOAD), same, own)
     search.gain = lambda less, more: replace(own, energies={"arm": 0.1 * removed})
