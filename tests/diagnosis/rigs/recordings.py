@@ -91,7 +91,7 @@ def names(model, kind):
     return [getattr(model, kind)(i).name for i in range(count)]
 
 
-def simulate(model, file, commands, *, data=None, control=None, read=None, step_s=0.01):
+def simulate(model, file, commands, *, data=None, control=None, read=None, late=0, step_s=0.01):
     """Move a MuJoCo model and write time, commands and positions, with a column for each actuator and joint.
 
     Args:
@@ -100,6 +100,7 @@ def simulate(model, file, commands, *, data=None, control=None, read=None, step_
         data: state at the start; by default at rest.
         control: function of state and input -> commands; by default the input itself.
         read: function of the positions -> readings of the encoders; by default the positions themselves.
+        late: samples by which the actuators receive their commands late.
         step_s: time between two rows, s.
     """
     model = mujoco.MjModel.from_xml_string(model) if isinstance(model, str) else model
@@ -107,9 +108,26 @@ def simulate(model, file, commands, *, data=None, control=None, read=None, step_
     for k, command in enumerate(commands):
         data.ctrl[:] = command if control is None else control(data, command)
         rows.append((k * step_s, *data.ctrl, *(data.qpos if read is None else read(data.qpos))))
+        if late:
+            data.ctrl[:] = commands[max(k - late, 0)]
         mujoco.mj_step(model, data, nstep=round(step_s / model.opt.timestep))
     header = ",".join(("t", *names(model, "actuator"), *names(model, "joint")))
     np.savetxt(file, rows, "%.8g", delimiter=",", header=header, comments="")
+
+
+def recorded(folder, text, commands, *, noise_rad, change=None, trials=1, late=0):
+    """Record a MuJoCo model with commands without a unit, and return the path of its stage.yaml.
+
+    commands: function of a random generator -> commands, [T, ...]. change: function that makes the recorded robot
+    differ from its model. late: samples by which the actuators receive their commands late.
+    """
+    robot = mujoco.MjModel.from_xml_string(text)
+    if change is not None:
+        change(robot)
+    for number in range(trials):
+        random = np.random.default_rng(number)
+        simulate(robot, folder / f"run-{number}.csv", commands(random), read=noisy(random, noise_rad), late=late)
+    return described_model(folder, text, "1")
 
 
 def noisy(random, size):
