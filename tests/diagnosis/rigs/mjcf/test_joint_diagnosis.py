@@ -270,16 +270,6 @@ def test_a_stretch_has_the_zero_of_its_recording(swinging):
     assert "zero" not in str(JointView(with_zeros(swinging, "hinge", (0.02, 0.02, 0.02))).warnings({}))
 
 
-@pytest.mark.prove
-def test_a_dead_band_is_named_at_its_joint_with_its_size(tmp_path):
-    stage = mechanism(tmp_path, "camera", Truth({"tilt": JointLaw(dead=0.012)}))
-    verdict = diagnose_table(of_joint(stage, "tilt"), budget_s=4).verdict
-    assert [effect.name for effect in verdict.effects] == ["tilt.deadband"]
-    assert verdict.where.stage == "tilt"
-    assert verdict.effects[0].parameters["width"].value == pytest.approx(0.012, rel=0.15)
-    assert verdict.gap.after["tilt"].value < 0.5 * verdict.gap.before["tilt"].value
-
-
 def test_a_patched_model_as_xml_is_for_mujoco_alone(tmp_path):
     (tmp_path / "s.csv").write_text("t,u,y\n" + "".join(f"{0.01 * i},{i % 100},{i % 100}\n" for i in range(400)))
     stage = tmp_path / "stage.yaml"
