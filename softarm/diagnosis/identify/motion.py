@@ -34,7 +34,7 @@ class Motion:
     @property
     def angles_rad(self) -> Array:
         """Return the absolute link angles, rad, [N, n]: the direction from each joint to the next."""
-        return directions(self.signals[:, : -self.signals.shape[1] // 3])
+        return directions(self.signals[:, : 2 * self.signals.shape[1] // 3])
 
 
 def directions(ends_m: Array) -> Array:

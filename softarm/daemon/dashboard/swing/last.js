@@ -41,13 +41,10 @@ export class LastSwing {
 
   async load(goal, title) {
     this.wanted = goal;
-    let repeat = false;
-    const swing = await this.fetched(goal).catch((error) => {
-      repeat = error instanceof Refused;
-      return words(error);
-    });
+    const swing = await this.fetched(goal).catch((error) => error);
     if (this.wanted !== goal) return; // another goal was chosen meanwhile
-    if (repeat) setTimeout(() => this.wanted === goal && this.load(goal, title), REFUSED_MS);
+    if (swing instanceof Refused) setTimeout(() => this.wanted === goal && this.load(goal, title), REFUSED_MS);
+    if (swing instanceof Error) return void setText($("swing-note"), words(swing));
     if (typeof swing === "string") return void setText($("swing-note"), swing);
     this.swing = swing;
     if (!this.closest.has(goal.key)) {
