@@ -51,16 +51,6 @@ def test_an_unreadable_body_is_refused_with_the_reason(client, body):
     assert "UTF-8 without deep nesting" in answer.json()["detail"]
 
 
-def test_a_stop_during_a_flood_is_confirmed(loop, app):
-    async def flood():
-        transport = httpx.ASGITransport(app(loop))
-        async with httpx.AsyncClient(transport=transport, base_url=LOCAL) as client:
-            return await asyncio.gather(*(client.post("/api/stop") for _ in range(64)))
-
-    answers = asyncio.run(flood())  # more of them in a tick than results are kept
-    assert {answer.status_code for answer in answers} == {200}
-
-
 @pytest.mark.parametrize("path", ["/api/stop", "/api/arm"])
 def test_a_request_done_while_the_api_was_delayed_is_confirmed(stalled, app, client_of, monkeypatch, path):
     monkeypatch.setattr("softarm.daemon.api.requests.ANSWER_S", 0.02)
