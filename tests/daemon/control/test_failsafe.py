@@ -231,21 +231,19 @@ def test_an_acknowledgement_clears_the_latch_once_the_cause_is_gone():
 
 
 def test_the_page_has_a_table_for_each_response_with_every_event():
-    stops, soft_stops, warnings = (part.splitlines() for part in markdown().split("## ")[1:])
+    tables = [part.splitlines() for part in markdown().split("## ")[1:]]
     head = ["", "| event | cause | next step | refuses arming |", "|---|---|---|---|"]
-    for lines, title in ((stops, "Stop"), (soft_stops, "Soft stop"), (warnings, "Warn")):
+    rows = {}
+    for lines, title, response in zip(
+        tables, ("Stop", "Soft stop", "Warn"), sorted(Response, reverse=True), strict=True
+    ):
         assert lines[:4] == [title, *head]
-        shown = [line.split("`")[1] for line in lines if line.startswith("| `")]
-        assert shown == names(Response[title.upper().replace(" ", "_")])
-    assert stops[4:6] == [
-        "| `stop_requested` | an emergency stop was requested | make sure that the arm is free, then acknowledge "
-        "(clears: at once; the latch stays) | yes |",
-        "| `remote_off` | the emergency-stop circuit is open: the drive's enable input (DI7) is low | release the "
-        "emergency-stop button, then acknowledge | yes |",
-    ]
-    assert stops[6].endswith("restart the service (clears: never) | yes |")
-    assert stops[-1] == soft_stops[-1] == ""
-    assert warnings[-1] == (
-        "| `recorder_dropping` | the recorder lost messages | check the disk's speed and free space; the service's log "
-        "names the messages | no |"
+        shown = {line.split("`")[1]: line for line in lines if line.startswith("| `")}
+        assert list(shown) == names(response)
+        rows |= shown
+    assert rows["remote_off"] == (
+        f"| `remote_off` | {TABLE['remote_off'].meaning} | release the emergency-stop button, then acknowledge | yes |"
     )
+    assert rows["stop_requested"].endswith(", then acknowledge (clears: at once; the latch stays) | yes |")
+    assert rows["recorder_dropping"].endswith(" | no |")
+    assert markdown().count("|\n\n## ") == 2
