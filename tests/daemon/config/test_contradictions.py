@@ -73,6 +73,9 @@ def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusal
         "limits: {rail: {position_min_m: -0.28, position_max_m: 0.28}}",
         "limits: {rail: {latency_s: 0.09}}",
         "failsafe: {rail_stale_s: 0.04}\ndrivers: {regulator: {time_to_live_s: 0.04}}",
+        "recorder: {keep_mb: 1000}",
+        "ros: {commands: all, router: tcp/127.0.0.1:7447}",
+        "ros: {commands: stop, router: tcp/10.0.0.2:7447}\napi: {token_file: token}",
     ],
 )
 def test_valid_configurations_have_no_contradiction(refusals, text):
