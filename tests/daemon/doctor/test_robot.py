@@ -74,8 +74,8 @@ def test_a_healthy_daemon_has_no_findings():
 )
 def test_the_daemons_status_is_compared_with_the_configuration(last, name, state, says):
     findings = judged(last=last)
-    assert findings.pop(name)[1] is state
-    finding = judged(last=last)[name]
+    finding = findings.pop(name)
+    assert finding.state is state
     assert says in f"{finding.figure} {finding.advice}"
     assert {each.state for each in findings.values()} <= {State.OK}
 
