@@ -17,20 +17,13 @@ from softarm.schemas.model import Model
 from tests.daemon.rig import PERIOD_NS, Rig, Steady
 
 
-@pytest.mark.parametrize(
-    ("name", "spoilt"),
-    [
-        ("rail_fault", {"rail": {"faults": ("E12 limit switch",)}}),
-        ("pressure_outside", {"pressure": {"pressure_kpa": 23.0}}),
-    ],
-)
-def test_a_device_that_fails_stops_the_arm_and_latches(name, spoilt):
+def test_a_device_that_fails_stops_the_arm_and_latches():
     rig = Rig().swinging()
-    rig.tick(**spoilt)
+    rig.tick(rail={"faults": ("E12 limit switch",)})
     assert rig.outputs.mode is Mode.STOPPED
     assert rig.outputs.estop is EStop.ENGAGED
     assert rig.outputs.sent == SAFE
-    assert name in [event.name for event in rig.outputs.events]
+    assert "rail_fault" in [event.name for event in rig.outputs.events]
     assert (rig.outputs.goal.state, rig.outputs.goal.reason) == ("failed", rig.outputs.last_stop)
     rig.tick("acknowledge")
     assert rig.outputs.reset_devices
