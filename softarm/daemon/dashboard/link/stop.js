@@ -53,23 +53,24 @@ export class Stop {
 
   async press() {
     const mine = ++this.presses;
+    const isOpen = () => this.open && mine === this.presses;
     const began = (this.began = performance.now());
     this.before = this.stopped();
     this.open = true;
     this.onResult({ state: "asking", text: "Stopping …" });
-    for (let attempt = 1; attempt <= TRIES && this.open && mine === this.presses; attempt++) {
+    for (let attempt = 1; attempt <= TRIES && isOpen(); attempt++) {
       try {
         const via = await once(stopUrl(this.port()), this.loggedIn() ? "include" : "omit");
-        if (this.open && mine === this.presses) this.confirmed(`confirmed via ${via} in ${Math.round(performance.now() - began)} ms`);
+        if (isOpen()) this.confirmed(`confirmed via ${via} in ${Math.round(performance.now() - began)} ms`);
         return;
       } catch (error) {
-        if (!this.open || mine !== this.presses) return;
+        if (!isOpen()) return;
         const next = attempt < TRIES ? "Retrying." : "No further attempts: press Stop again.";
         this.onResult({ state: "unconfirmed", text: `NOT confirmed. Use the emergency-stop button. ${error.message}. ${next}` });
         await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
       }
     }
-    this.open = false;
+    if (isOpen()) this.open = false;
   }
 
   // Accept a live status as confirmation, unless it showed a stop before the press.
