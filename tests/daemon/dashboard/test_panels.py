@@ -221,7 +221,11 @@ def test_jobs_run_and_show_their_results_and_space_still_stops(page, robot, daem
         "open(sys.argv[-1], 'w').write('<!doctype html><h1>The rail lags</h1>')\n"
         "import time\nwhile not os.path.exists(sys.argv[-1] + '.go'): time.sleep(0.01)\n"
     )
-    panel.locator("label", has_text="flight.mcap").locator("input").check()
+    box = panel.locator("label", has_text="flight.mcap").locator("input")
+    box.press("Enter")  # the space key stops the robot
+    panel.locator("[aria-label='Start diagnosis'][aria-disabled=false]").wait_for()
+    assert box.is_checked()
+    assert box.evaluate("(box) => box === document.activeElement")
     panel.get_by_role("button", name="Start diagnosis").click()
     row(page).locator("progress[value='0.4']").wait_for()
     row(page).locator("text=Fitting (40 %, about 9 s left)").wait_for()

@@ -58,8 +58,13 @@ export class Jobs extends Panel {
 
   boxes() {
     const box = ({ name, recording, duration_s: length }) => {
-      const toggle = (event) => { this.chosen[event.target.checked ? "add" : "delete"](name); this.open(); };
-      return el("li", {}, el("label", {}, el("input", { type: "checkbox", checked: this.chosen.has(name), onchange: toggle }), ` ${name}, ${recording ? "being recorded" : length === null ? "not finished" : seconds(length)}`));
+      const toggle = ({ target }) => {
+        target.toggleAttribute("checked", target.checked); // the list keeps equal rows, and with them the focus
+        this.chosen[target.checked ? "add" : "delete"](name);
+        this.open();
+      };
+      const press = (event) => event.key === "Enter" && event.target.click(); // Space stops the robot
+      return el("li", {}, el("label", {}, el("input", { type: "checkbox", checked: this.chosen.has(name), onchange: toggle, onkeydown: press }), ` ${name}, ${recording ? "being recorded" : length === null ? "not finished" : seconds(length)}`));
     };
     return el("ul", { class: "logs", "aria-label": "Logs for diagnosis and replay" }, this.logs.map(box));
   }
