@@ -112,11 +112,13 @@ def test_charts_share_window_zoom_and_cursor_and_stand_beside_the_drawing(page, 
     page.wait_for_function(f"() => new Set(({cursors})()).size === 1 && !({cursors})()[0].includes('-10px')")
     assert len(page.evaluate(cursors)) == 6
 
+    page.locator("#pause").click()  # a paused chart loads older ticks, too
     long = page.get_by_role("button", name="10 min")
     with page.expect_request("**/api/recent?seconds=600"):
         long.click()
     assert long.get_attribute("aria-pressed") == "true"
     page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 3.1")
+    page.locator("#pause").click()
 
     check_places(page, **page.viewport_size)
     page.set_viewport_size({"width": 1920, "height": 1080})

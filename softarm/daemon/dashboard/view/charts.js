@@ -31,8 +31,7 @@ export class LiveCharts extends Charts {
     setText(this.title, `Last ${inWords(seconds)}`);
     for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.seconds === String(seconds)));
     this.zoom(null);
-    if (this.paused) this.take();
-    else this.history.cover(seconds).then(() => this.draw(true));
+    this.history.cover(seconds).then(() => (this.paused ? this.take() : this.draw(true)));
   }
 
   pause(paused) {
