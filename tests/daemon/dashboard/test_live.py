@@ -295,6 +295,10 @@ def test_on_a_phone_the_page_fits_takes_taps_and_shows_the_stop(robot, opened, p
         page.locator(f"#panel-{name}-tab").click()
         page.locator(f"#panel-{name} :is(li, .hint)").first.wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.route("**/api/goal", lambda route: route.fulfill(status=409, json={"reasons": [60 * "long"]}))
+    page.locator("#do-reach").tap()
+    page.locator("#said", has_text="longlong").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
     robot.ask("/api/stop")
     page.locator("#mode[data-mode=stopped]").wait_for()
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
