@@ -100,6 +100,7 @@ class Page {
     this.frame = null;
     const status = this.status;
     this.mode.draw(status);
+    this.setTitle();
     this.controls.draw(status, this.link.state === "live", this.session.role);
     drawGoal(status, this.panels.requester(status.goal.goal));
     const trained = status.policy_info?.trained ?? null;
@@ -117,7 +118,7 @@ class Page {
     $("link").dataset.link = state;
     setText($("link").querySelector("span"), LINKS[state]);
     const old = state === "lost" || state === "stalled" || state === "refused";
-    document.body.classList.toggle("old", old || (this.status === null && state !== "live"));
+    document.body.classList.toggle("old", state !== "live");
     $("lost").hidden = !old;
     if (old) {
       setText($("lost-what"), `${LINKS[state]}.`);
@@ -125,10 +126,15 @@ class Page {
       setText($("lost-next"), NEXT[state] ?? link.reasons.map(sentence).join(". "));
     }
     if (before === state) return;
-    if (old) document.title = `${LINKS[state]} · softarm`;
+    this.setTitle();
     if (old || (state === "live" && before !== "connecting")) setText($("spoken"), LINKS[state]);
     this.panels.setLive(state === "live");
     this.controls.draw(this.status, state === "live", this.session.role);
+  }
+
+  setTitle() {
+    const { state } = this.link;
+    setText(document.querySelector("title"), `${(state === "live" && this.mode.spoken) || LINKS[state]} · softarm`);
   }
 
   showStop(result) {

@@ -243,6 +243,7 @@ def test_without_live_data_the_page_says_why_and_reconnects(tmp_path, opened, st
             assert greyed(page)
             page.wait_for_timeout(1200)  # longer than the allowed silence
             assert page.locator("#link").get_attribute("data-link") == "stalled"
+            assert page.title() == "Control loop stalled · softarm"
         page.locator("#link[data-link=live]").wait_for()
     page.locator("#link[data-link=lost]").wait_for()
     page.wait_for_function(fades)

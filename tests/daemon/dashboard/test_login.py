@@ -96,3 +96,9 @@ def test_a_log_in_has_the_rights_of_its_role_and_leaves_no_token_in_the_page(rob
     page.keyboard.press("Space")
     page.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
+
+    page.locator("#mode[data-mode=stopped]").wait_for()
+    page.evaluate("() => fetch('api/logout', { method: 'POST' })")  # as in another tab
+    page.locator("#login").wait_for()
+    page.locator("body.old #mode[data-mode=stopped]").wait_for()  # the mode is old, and grey
+    assert page.title() == "Not connected · softarm"

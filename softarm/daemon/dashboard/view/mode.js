@@ -54,7 +54,6 @@ export class ModeView {
     this.reasons(status);
     if (this.spoken !== null && this.spoken !== name) setText($("spoken"), `${name}. ${status.mode === "stopped" ? ESTOP[status.estop] ?? "" : means}`);
     this.spoken = name;
-    if (document.title !== `${name} · softarm`) document.title = `${name} · softarm`;
   }
 
   reasons(status) {
