@@ -34,11 +34,11 @@
   // ---- state of the player
 
   const first = data.runs.mode.find((run) => run[1] === "armed" || run[1] === "arming");
-  const requested = /[#&]t=([0-9.]+)/.exec(location.hash);
-  let now = Math.min(end, requested ? Number(requested[1]) : first ? first[0] : 0);
+  const linked = () => /[#&]t=(\d+\.?\d*)/.exec(location.hash)?.[1]; // seconds, as text
+  let now = Math.min(end, Number(linked() ?? first?.[0] ?? 0));
   let playing = false, painted = 0, held = null; // held: fixed view of the charts during a drag
 
-  const number = (v, digits) => (v === null ? "–" : v.toFixed(digits).replace("-", "−"));
+  const number = (v, digits) => (v === null ? "–" : v.toFixed(digits).replace(/^-(?=[0.]+$)/, "").replace("-", "−"));
   const clock = (time) => {
     const minutes = Math.floor(time / 60), hours = Math.floor(minutes / 60), two = (v) => String(v).padStart(2, "0");
     return (hours ? `${hours}:${two(minutes % 60)}` : String(minutes)) + `:${(time % 60).toFixed(2).padStart(5, "0")}`;
@@ -373,8 +373,7 @@
   new ResizeObserver(soon).observe(scene);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", build);
   addEventListener("hashchange", () => {
-    const linked = /[#&]t=([0-9.]+)/.exec(location.hash);
-    if (linked) still(Number(linked[1]));
+    if (linked()) still(Number(linked()));
   });
   build();
 })();

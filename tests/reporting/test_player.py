@@ -73,6 +73,9 @@ def test_the_player_begins_at_arming_and_a_link_leads_to_a_moment(opened):
     assert seconds(page) == pytest.approx(3.9, abs=0.01)
     assert page.inner_text("#now").startswith("armed")
     assert "goal 3: y -0.42, z 0.68 m, running" in page.inner_text("#now")
+    page = opened("#t=0.6.3", viewport={"width": 800, "height": 600})
+    assert seconds(page) == pytest.approx(0.6, abs=0.01)
+    assert not [text for text in page.locator("#charts output").all_inner_texts() if re.fullmatch(r"−[0.]+", text)]
 
 
 def rgb(page, colour):
