@@ -138,3 +138,21 @@ def test_each_port_stops_without_the_other_and_a_stop_without_answer_is_retried(
     armed.keyboard.press("Space")
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
+
+
+UNCOVERED = """(place) => {
+  const box = document.querySelector(place).getBoundingClientRect();
+  return [box.top + 2, box.bottom - 2].every((y) => document.elementFromPoint(box.left + 20, y)?.closest(place));
+}"""
+
+
+def test_a_lost_connection_does_not_cover_the_report_of_a_stop(page):
+    page.context.set_offline(True)
+    page.locator("#lost").wait_for()
+    page.keyboard.press("Space")
+    page.locator("#stopped[data-state=unconfirmed]").wait_for()
+    for width in (390, 1280):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        assert [page.evaluate(UNCOVERED, banner) for banner in ("header", "#stopped", "#lost")] == [True] * 3
+    page.context.set_offline(False)
