@@ -192,3 +192,11 @@ def test_both_colour_schemes_and_paper_define_the_same_colours():
     assert LIGHT.keys() == NIGHT.keys()
     style = document("t", "m", LEAD, SECTIONS)
     assert set(re.findall(r"var\(--([\w-]+)\)", style)) <= set(re.findall(r"--([\w-]+): ", style)) | {"share"}
+
+
+@pytest.mark.slow
+def test_a_long_path_makes_no_page_wider_than_a_phone(browser):
+    page = browser.new_page(viewport={"width": 360, "height": 740})
+    path = f"/data/{60 * 'long'}"
+    page.set_content(document("t", "m", el("h1", path), [Section("One", "one", el("ul", el("li", path)))]))
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
