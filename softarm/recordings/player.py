@@ -229,7 +229,7 @@ def _stage() -> Html:
         class_="transport",
     )
     scene = el("canvas", id="scene", tabindex="0", role="img", aria_label="the arm at the moment that is shown")
-    stage = el("div", scene, el("p", id="now", class_="now", aria_live="off"), class_="stage")
+    stage = el("div", scene, el("p", id="now", class_="now", aria_live="off"))
     happened = el("div", el("h3", "What happened"), el("ol", id="events"), class_="happened")
     charts = el("div", id="charts", class_="plots", tabindex="0", role="img", aria_label="charts on the same time")
     hint = (

@@ -102,7 +102,7 @@ class Page {
     this.mode.draw(status);
     this.setTitle();
     this.controls.draw(status, this.link.state === "live", this.session.role);
-    drawGoal(status, this.panels.requester(status.goal.goal));
+    drawGoal(status, this.follower.requester(status.goal.goal));
     const trained = status.policy_info?.trained ?? null;
     $("k-trained").hidden = !trained;
     $("k-shelf").hidden = !Number.isFinite(status.policy_info?.shelf_depth_m);

@@ -94,10 +94,10 @@ def _clock_note(layout: Layout, down: bool) -> Html:
     """Return the note on the clock, which acts on stamps and not on signals."""
     x, y = layout.places["clock"]
     if down:
-        return write(x + _BOX_W + 12, y + _BOX_H / 2 + 4, "timing of each tick", kind="small")
+        return write(x + _BOX_W + 12, y + _BOX_H / 2 + 4, "timing of each tick")
     to = layout.places["command"]
     dashes = f"M{x:.1f} {y + 70:.1f}H{to[0] + _SLIM / 2:.1f}V{to[1] + _BOX_H + 4:.1f}"
-    note = write(x + _BOX_W + 12, y + 45, "timing of each tick", kind="small")
+    note = write(x + _BOX_W + 12, y + 45, "timing of each tick")
     return join([el("path", d=dashes, class_="beside"), note])
 
 
@@ -126,8 +126,8 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
             line(x + 12, y + 35, x + 12 + share * (_BOX_W - 24), y + 35, "part") if share > 0 else Html(""),
         ]
     if name not in gap.before:
-        return join([*parts, write(x + 12, y + 58, "no gap measured", kind="small")])
+        return join([*parts, write(x + 12, y + 58, "no gap measured")])
     floor = gap.floor[name]
     parts.append(write(x + 12, y + 60, corrected(diagnosis, name), kind="gap"))
-    parts.append(write(x + 12, y + 80, f"floor {quantity(floor.value, floor.unit)}", kind="small"))
+    parts.append(write(x + 12, y + 80, f"floor {quantity(floor.value, floor.unit)}"))
     return join(parts)

@@ -26,7 +26,7 @@ const cell = {
   pressure_age_ms: (s) => s.ages_ms?.pressure,
   rail_age_ms: (s) => s.ages_ms?.rail,
 };
-export const NAMES = Object.keys(cell);
+const NAMES = Object.keys(cell);
 
 export class History {
   constructor() {

@@ -17,11 +17,6 @@ export class Panels {
     this.choose(this.all[0]);
   }
 
-  // Return where a goal was requested from.
-  requester(goal) {
-    return this.follower.requester(goal);
-  }
-
   // Reload the policies, whichever client changed the policy.
   policyChanged() {
     if (this.mayView) this.all[0].open();

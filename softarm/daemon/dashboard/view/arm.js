@@ -34,7 +34,7 @@ export class Arm {
     this.drawn = svg("svg", { viewBox: `0 0 ${width} ${plane.height}`, width, height: plane.height, role: "img", "aria-label": "Side view of rail, cart, arm and target" },
       scene(this.robot, plane, this.trained),
       part("rect", "shelf", { visibility: "hidden", height: 6 }),
-      part("g", "closest"), part("polygon", "links"), part("g", "cart", {}), this.joints, this.paths,
+      part("g", "closest"), part("polygon", "links"), part("g", "cart"), this.joints, this.paths,
       part("g", "goal", { visibility: "hidden" }),
       part("circle", "tip", { r: Math.max(4, thick * 0.5), visibility: "hidden" }),
       part("text", "no-arm", { x: width / 2, y: plane.v(0.8), "text-anchor": "middle" }),

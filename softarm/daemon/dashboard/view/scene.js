@@ -73,17 +73,17 @@ function grid(plane) {
   for (let k = -7; k <= 7; k++) {
     const x = plane.h(k / 10);
     parts.push(svg("line", { class: k === 0 ? "grid zero" : "grid", x1: x, x2: x, y1: 0, y2: plane.bottom }));
-    if (k % (2 * step) === 0) parts.push(svg("text", { class: "tick", x, y: plane.bottom + 15, "text-anchor": "middle" }, number(k / 10, 1, "", true)));
+    if (k % (2 * step) === 0) parts.push(svg("text", { x, y: plane.bottom + 15, "text-anchor": "middle" }, number(k / 10, 1, "", true)));
   }
   for (let k = Math.ceil(plane.low * 10); k / 10 < plane.top; k++) {
     const y = plane.v(k / 10);
     parts.push(svg("line", { class: "grid", x1: 0, x2: plane.width, y1: y, y2: y }));
-    if (k % step === 0 || !narrow) parts.push(svg("text", { class: "tick", x: 4, y: y - 3 }, k === 10 ? "1.0 m, z up" : number(k / 10, 1)));
+    if (k % step === 0 || !narrow) parts.push(svg("text", { x: 4, y: y - 3 }, k === 10 ? "1.0 m, z up" : number(k / 10, 1)));
   }
   const foot = plane.bottom + 34;
   parts.push(
     svg("text", { class: "axis", x: plane.width / 2, y: foot, "text-anchor": "middle" }, narrow ? "− ← y, m → +" : "− ←   y along the rail, m   → +"),
-    narrow ? null : svg("text", { class: "axis soft", x: 4, y: foot }, "← pressure bends this way"),
+    narrow ? null : svg("text", { class: "axis", x: 4, y: foot }, "← pressure bends this way"),
   );
   return parts;
 }
@@ -102,22 +102,19 @@ function rail(robot, plane) {
     svg("line", { class: "rail", x1: plane.h(first), x2: plane.h(last), y1: z, y2: z }),
     ...hard,
     ...soft,
-    plane.narrow ? null : svg("text", { class: "tick", x: plane.h(low) - 4, y: z - 1.2 * tall, "text-anchor": "end" }, "soft limit"),
-    plane.narrow ? null : svg("text", { class: "tick", x: plane.h(last) + 12, y: z + 4 }, "end stop"),
-  ].filter(Boolean);
+    plane.narrow ? null : svg("text", { x: plane.h(low) - 4, y: z - 1.2 * tall, "text-anchor": "end" }, "soft limit"),
+    plane.narrow ? null : svg("text", { x: plane.h(last) + 12, y: z + 4 }, "end stop"),
+  ];
 }
 
 // Return the static drawing as one group. trained: the policy's {target_y_m, target_z_m}, or null.
 export function scene(robot, plane, trained) {
   const able = reachable(robot, plane);
-  const parts = [
-    svg("g", { class: "backdrop" }, grid(plane)),
-    svg("path", { class: "within-reach", d: able }),
-  ];
+  const parts = [...grid(plane), svg("path", { class: "within-reach", d: able })];
   if (trained) {
     const [left, right] = trained.target_y_m.map((y) => plane.h(y));
     const [low, high] = trained.target_z_m.map((z) => plane.v(z));
     parts.push(svg("clipPath", { id: "able" }, svg("path", { d: able })), svg("rect", { class: "trained", x: left, y: high, width: right - left, height: low - high, "clip-path": "url(#able)" }));
   }
-  return svg("g", {}, parts, svg("g", { class: "bench" }, rail(robot, plane)));
+  return svg("g", {}, parts, svg("g", {}, rail(robot, plane)));
 }
