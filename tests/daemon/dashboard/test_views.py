@@ -137,6 +137,18 @@ def test_charts_share_window_zoom_and_cursor_and_stand_beside_the_drawing(page, 
     counts = {part: page.locator(f"#drawing .{part}").count() for part in ("trained", "within-reach", "soft-limit")}
     assert counts == {"trained": 1, "within-reach": 1, "soft-limit": 2}
 
+    held = []
+    page.route("**/api/recent?seconds=60", lambda route: held.append(route))  # an answer that comes too late
+    page.reload()
+    page.locator("#drawing svg[data-tick]").wait_for()
+    with page.expect_response("**/api/recent?seconds=600"):
+        page.get_by_role("button", name="10 min").click()
+    page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 4")
+    with page.expect_response("**/api/recent?seconds=60"):
+        held[0].fulfill(json={"tick": [1], "time": [1]})
+    page.wait_for_timeout(300)
+    assert seconds(page) > 4
+
 
 def check_places(page, width: int, height: int) -> None:
     # In one evaluation, since a swing that arrives changes the layout.

@@ -67,13 +67,14 @@ export class History {
 
   // Load more if the columns do not reach back so many seconds.
   async cover(seconds) {
-    if (this.since !== null && this.newest - this.since < seconds - 1) await this.load(seconds);
+    if (this.newest - (this.since ?? this.newest) < seconds - 1) await this.load(seconds);
   }
 
   // Load the daemon's columns, as far back as these reach already, and keep the rows that arrived since.
   async load(seconds = Math.min(STORED_S, Math.max(FIRST_S, Math.ceil(this.newest - (this.since ?? this.newest)) || 0))) {
+    const request = (this.request = Symbol("request")); // the answer to an earlier one may arrive later
     const kept = await get(`api/recent?seconds=${seconds}`, { seconds: LOADING_S }).catch(() => null);
-    if (!kept?.tick?.length) return;
+    if (!kept?.tick?.length || request !== this.request) return;
     this.since = kept.time.at(-1) - seconds;
     const since = this.columns;
     this.columns = Object.fromEntries(NAMES.map((name) => [name, []]));
