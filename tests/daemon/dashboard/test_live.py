@@ -215,6 +215,22 @@ def test_a_failed_control_loop_keeps_the_charts_and_an_armed_robot_has_notices(p
     assert page.evaluate(heading, refusing | {"mode": "armed"}) == "Notices"
 
 
+def test_a_fault_of_a_device_is_listed_once_with_its_next_step(page, robot):
+    rail = "127.0.0.1:502: connect: Connection refused; switch on the gateway"
+    refusal = f"the axis has not answered (none since the start; {rail}): check the drive's address"
+    mocap = "tcp/127.0.0.1:7447 softarm/mocap: read: no frame yet; start the bridge"
+    status = robot.status | {"mode": "disarmed", "events": [], "arming_refusals": [refusal]}
+    drawn = """async (status) => {
+        const { ModeView } = await import("/dashboard/view/mode.js");
+        new ModeView().draw(status);
+        return [...document.querySelectorAll("#reasons li")].map((reason) => reason.innerText.trim().split("\\n"));
+    }"""
+    assert page.evaluate(drawn, status | {"problems": {"mocap": mocap, "regulator": None, "rail": rail}}) == [
+        [f"The axis has not answered (none since the start; {rail})", "Next: check the drive's address"],
+        ["Device mocap: tcp/127.0.0.1:7447 softarm/mocap: read: no frame yet", "Next: start the bridge"],
+    ]
+
+
 def greyed(page) -> bool:
     return all(
         float(page.locator(place).evaluate("(node) => getComputedStyle(node).opacity")) < 0.5

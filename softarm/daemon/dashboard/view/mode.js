@@ -29,9 +29,9 @@ const sign = (path) => svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" 
 function reasonsOf(status) {
   const refused = status.mode === "disarmed" || status.mode === "stopped" ? status.arming_refusals : [];
   const all = refused.map((text) => ({ kind: "refusal", text }));
-  const add = (kind, text) => all.some((one) => one.text.includes(text)) || all.push({ kind, text });
+  const add = (kind, text, named = text) => all.some((one) => one.text.includes(text)) || all.push({ kind, text: named });
   for (const { response, text } of status.events) add(response, text);
-  for (const [device, text] of Object.entries({ ...status.problems, recorder: status.recorder.problem })) if (text) add("device", text.startsWith(device) ? text : `${device}: ${text}`);
+  for (const [device, text] of Object.entries({ ...status.problems, recorder: status.recorder.problem })) if (text) add("device", text, `${device}: ${text}`);
   return all;
 }
 
@@ -67,10 +67,10 @@ export class ModeView {
     ]);
   }
 
-  // Show the fault and, on a separate line, the text after the last colon: the next step.
+  // Show the fault and, on a separate line, the next step: the text after the last colon, or after a device's last semicolon.
   reason(kind, text) {
     const [word, path] = SIGNS[kind] ?? SIGNS.warn;
-    const cut = text.lastIndexOf(": ");
+    const cut = text.lastIndexOf(kind === "device" ? "; " : ": ");
     const [fault, next] = cut > 12 ? [text.slice(0, cut), text.slice(cut + 2)] : [text, ""];
     return el("li", { class: `reason ${kind}` }, sign(path), el("div", {}, word ? el("b", { class: "word" }, word) : null, ` ${sentence(worded(fault))}`, next ? el("span", { class: "next" }, `Next: ${worded(next)}`) : null));
   }
