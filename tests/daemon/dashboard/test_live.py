@@ -212,7 +212,8 @@ def test_a_failed_control_loop_keeps_the_charts_and_an_armed_robot_has_notices(p
     events = [{"name": "not_recorded", "response": "warn", "text": "the flight is not recorded: free the disk"}]
     refusing = status | {"events": events, "arming_refusals": ["the flight is not recorded: free the disk"]}
     assert page.evaluate(heading, refusing | {"mode": "disarmed"}) == "Cannot be armed"
-    assert page.evaluate(heading, refusing | {"mode": "armed"}) == "Notices"
+    for mode in ("armed", "stopping"):
+        assert page.evaluate(heading, refusing | {"mode": mode}) == "Notices"
 
 
 def test_a_fault_of_a_device_is_listed_once_with_its_next_step(page, robot):

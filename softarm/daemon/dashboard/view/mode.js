@@ -35,10 +35,6 @@ function reasonsOf(status) {
   return all;
 }
 
-function titled(status) {
-  return status.mode !== "armed" && status.arming_refusals.length ? "Cannot be armed" : "Notices";
-}
-
 export class ModeView {
   constructor() {
     this.spoken = null;
@@ -58,9 +54,10 @@ export class ModeView {
 
   reasons(status) {
     const all = reasonsOf(status);
+    const title = all.some(({ kind }) => kind === "refusal") ? "Cannot be armed" : "Notices";
     const last = status.last_stop && status.mode !== "armed" ? `Last stop${status.last_stop_at ? ` at ${clock(status.last_stop_at)}` : ""}: ${worded(status.last_stop)}` : null;
-    render($("reasons"), [all, last, titled(status), status.mode], () => [
-      all.length ? el("h3", {}, titled(status)) : null,
+    render($("reasons"), [all, last, status.mode], () => [
+      all.length ? el("h3", {}, title) : null,
       all.length ? el("ul", { class: "reasons" }, all.map(({ kind, text }) => this.reason(kind, text))) : null,
       status.mode === "disarmed" && !all.length ? el("p", { class: "ready" }, sign("M6 12.6L1.6 8.2l1.5-1.5L6 9.6l6.9-6.9l1.5 1.5z"), "Ready to arm.") : null,
       last ? el("p", { class: "hint" }, last) : null,
