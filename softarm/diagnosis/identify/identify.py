@@ -124,7 +124,8 @@ def identify(
     if (left := sum(len(each.t_s) for each in smooth)) < SAMPLES_MIN:
         raise TrialError(
             f"{', '.join(m.name for m in motions)}: {left} samples are {motion.EDGE_S:g} s away from both ends and "
-            f"{motion.SETTLE_S:g} s behind a gap; at least {SAMPLES_MIN} are needed; record longer"
+            f"{motion.SETTLE_S:g} s behind a gap of over {motion.GAP_S:g} s; at least {SAMPLES_MIN} are needed; "
+            "record longer, with frames closer together"
         )
     first = regression.fit(arm, smooth)
     start = first.column.copy()

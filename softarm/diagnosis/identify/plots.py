@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from softarm.common.words import numbered
 from softarm.diagnosis.identify.identify import Check, Identification
 from softarm.diagnosis.identify.regression import modelled
 from softarm.reporting.colours import LIGHT
@@ -20,8 +21,9 @@ def save(result: Identification, folder: Path) -> list[Path]:
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    figures = {f"torques-{_file(name)}": _torques(result, i) for i, name in enumerate(result.trials)}
-    figures |= {f"check-{_file(check.trial)}": _check(check) for check in result.checks}
+    figures = {f"torques-{_file(name)}": _torques(result, i) for i, name in enumerate(numbered(result.trials))}
+    checks = zip(numbered(check.trial for check in result.checks), result.checks, strict=True)
+    figures |= {f"check-{_file(name)}": _check(check) for name, check in checks}
     figures["parameters"] = _parameters(result)
     paths = []
     for name, figure in figures.items():
@@ -31,7 +33,7 @@ def save(result: Identification, folder: Path) -> list[Path]:
 
 
 def _file(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+    return "".join(c if c.isalnum() or c in "-_. ()" else "-" for c in name)
 
 
 def _torques(result: Identification, index: int) -> Figure:

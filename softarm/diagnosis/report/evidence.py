@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from softarm.common.words import numbered
 from softarm.diagnosis.answer.worst import window, worst
 from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
 from softarm.diagnosis.report.words import percents, unit_of
@@ -40,12 +41,13 @@ def packed(diagnosis: Diagnosis) -> dict[str, object]:
 
 def _traces(diagnosis: Diagnosis) -> list[plot.Traces]:
     """Return the measured and simulated curves of every stage, trial and channel, with the noise floor."""
-    found = []
-    for each in diagnosis.overlays:
+    found, overlays = [], diagnosis.overlays
+    trials = numbered((each.trial for each in overlays), ((each.stage, each.channel) for each in overlays))
+    for each, trial in zip(overlays, trials, strict=True):
         curves = {"measured": each.measured, "nominal": each.nominal}
         curves |= {"patched": each.patched} if each.patched is not None else {}
         curves |= {"calibrated": each.calibrated} if each.calibrated is not None else {}
-        chosen, floor = (each.stage, each.trial, each.channel), diagnosis.verdict.gap.floor[each.stage].value
+        chosen, floor = (each.stage, trial, each.channel), diagnosis.verdict.gap.floor[each.stage].value
         found.append(plot.Traces(chosen, each.kind, each.unit, each.t_s, curves, floor))
     return found
 

@@ -7,7 +7,7 @@ import pytest
 
 from softarm.diagnosis.data import folder
 from softarm.diagnosis.data.trials import Series, TrialError
-from softarm.diagnosis.identify import bench, motion, regression
+from softarm.diagnosis.identify import bench, motion, plots, regression
 from softarm.diagnosis.identify.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identify
 from softarm.reality.parameters import Arm as IndependentArm
 from softarm.reality.parameters import RobotParameters
@@ -41,6 +41,12 @@ def test_only_the_refinement_finds_stiffness_damping_and_gain_within_five_percen
     assert fitted.converged
     assert fitted.rmse_m < 0.75 * fitted.rmse_before_m
     assert np.median((fitted.high - fitted.low)[:15] / 2 / true[:15]) < 0.05
+
+
+def test_trials_of_one_name_have_a_picture_each(result, tmp_path):
+    alike = replace(result, trials=("seed", "seed"))
+    written = [path.name for path in plots.save(alike, tmp_path)]
+    assert written == ["torques-seed.png", "torques-seed (2).png", "check-sinusoid.png", "parameters.png"]
 
 
 def test_torques_and_the_unseen_sinusoid_are_within_what_the_paper_reports(result):
@@ -113,7 +119,7 @@ def test_lost_frames_and_a_long_gap_are_survived(record):
 
 
 def test_a_trial_of_which_the_filter_leaves_nothing_is_refused(record):
-    with pytest.raises(TrialError, match=r"0 samples are 0\.3 s away from both ends .* record longer"):
+    with pytest.raises(TrialError, match=r"0 samples are .* a gap of over 0\.1 s; .* frames closer together"):
         identify(Model(), (record("pressure-multisine", length_s=0.55),))
 
 

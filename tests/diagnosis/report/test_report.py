@@ -229,6 +229,13 @@ def test_each_overlay_is_on_the_page_and_the_diagnosed_stage_comes_first():
     assert [item["band"] for item in data["items"]] == [0.003, 0.2]
 
 
+def test_trials_of_one_name_are_chosen_apart():
+    """Campaigns are diagnosed together, and each has a trial `seed`."""
+    arm, pressure = CASES["named"].overlays
+    data = json.loads(Page(report.render(diagnosis(overlays=(arm, pressure, pressure)))).data)
+    assert [item["chosen"][1] for item in data["items"]] == [NASTY, NASTY, f"{NASTY} (2)"]
+
+
 EVIDENCE = (
     "softarm excite --plan verdict.json",
     "faster at first",
