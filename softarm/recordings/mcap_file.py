@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from mcap.records import Channel, Header, McapRecord, Message, Schema
+from mcap.records import Channel, Footer, Header, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
@@ -21,7 +21,7 @@ def records(path: Path) -> Iterator[tuple[str, McapRecord]]:
     schema, is left out.
 
     Raises:
-        LogError: The file does not exist or is not MCAP.
+        LogError: The file does not exist, is not MCAP, or ends as a complete file but breaks off before that.
     """
     try:
         file = path.open("rb")
@@ -32,7 +32,17 @@ def records(path: Path) -> Iterator[tuple[str, McapRecord]]:
         if not MCAP0_MAGIC.startswith(magic):
             raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
         file.seek(0)
-        yield from stream(file, os.fstat(file.fileno()).st_size)
+        count = 0
+        for topic, record in stream(file, os.fstat(file.fileno()).st_size):
+            yield topic, record
+            count += isinstance(record, Message)
+            if isinstance(record, Footer):
+                return
+        if _has_end(file):
+            raise LogError(
+                f"{path}: is damaged after {count} messages; restore a copy, or save these with MCAP's own program: "
+                "mcap recover"
+            )
 
 
 def stream(file: IO[bytes], record_max: int) -> Iterator[tuple[str, McapRecord]]:
@@ -93,7 +103,11 @@ def origin(path: Path) -> tuple[str, str]:
 def is_finished(path: Path) -> bool:
     """Return whether the file ends as a complete MCAP file. Raises OSError if the file cannot be read."""
     with path.open("rb") as file:
-        if os.fstat(file.fileno()).st_size < 2 * len(MCAP0_MAGIC):
-            return False
-        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
-        return bool(file.read() == MCAP0_MAGIC)
+        return _has_end(file)
+
+
+def _has_end(file: IO[bytes]) -> bool:
+    if os.fstat(file.fileno()).st_size < 2 * len(MCAP0_MAGIC):
+        return False
+    file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+    return bool(file.read() == MCAP0_MAGIC)

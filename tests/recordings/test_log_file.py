@@ -41,6 +41,16 @@ def test_records_without_their_definition_are_omitted(killed, readings):
     assert log_file.recover(killed).records == 2
 
 
+def test_a_finished_log_that_is_damaged_within_is_refused(killed):
+    """Its messages after the damage are lost, and its end says that it is whole."""
+    log_file.finish(killed)
+    data = bytearray(killed.read_bytes())
+    data[data.index(bytes.fromhex("28b52ffd")) + 40] ^= 0xFF  # within the compressed messages
+    killed.write_bytes(data)
+    with pytest.raises(LogError, match=r"killed\.mcap: is damaged after 0 messages; restore a copy"):
+        LogFile.open(killed)
+
+
 @pytest.mark.parametrize("metadata", [{}, {log.CONFIGURATION: {}}, {log.CONFIGURATION: {"json": "{"}}])
 def test_a_log_without_a_configuration_that_can_be_read_says_so(killed, metadata):
     opened = replace(LogFile.open(killed), metadata=metadata)
