@@ -2,11 +2,13 @@
 
 import contextlib
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softarm.daemon.runtime.offline import Lockstep
+from softarm.policies import trial
 from softarm.policies.base import MODELS, Policy, PolicyError
 from softarm.policies.plans import Plans
 from softarm.policies.runner import InlineRunner
@@ -46,6 +48,13 @@ def file(tmp_path):
 
 def seen(cart=0.0, tip=(0.0, 0.52)):
     return np.array([cart, 0, *tip, 0, 0, 0, 0], dtype=np.float32)
+
+
+def test_plans_to_any_targets_pass_the_trial_of_the_daemon(tmp_path):
+    """The trial flies to one fixed target, for which they have no plan."""
+    plans = made_up()
+    replace(plans, target_m=plans.target_m + 0.1).save(tmp_path / "mine.npz")
+    trial.ready(Trajectory(str(tmp_path / "mine.npz")))
 
 
 def test_on_its_reference_the_plan_is_played_then_held_then_rests(file):
