@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from softarm.common.words import did_you_mean
-from softarm.policies import registry
+from softarm.policies import registry, trial
 from softarm.policies.base import PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.config import Config
@@ -27,7 +27,7 @@ class Entry(NamedTuple):
 
 
 def given(policies: Sequence[str], config: Config | None = None) -> list[Entry]:
-    """Return the rows of policies as typed, in their order, after loading each once.
+    """Return the rows of policies as typed, in their order, after a first step of each.
 
     Args:
         policies: Names, ONNX files and folders. A name precedes a folder of the same name. The folder of a run gives
@@ -35,7 +35,7 @@ def given(policies: Sequence[str], config: Config | None = None) -> list[Entry]:
         config: Configuration with further policies.
 
     Raises:
-        PolicyError: A policy is unknown, takes no targets or cannot be loaded; the text names it.
+        PolicyError: A policy is unknown, takes no targets, cannot be loaded or fails; the text names it.
     """
     configured = (config or Config()).policies
     known = registry.available(configured)
@@ -45,7 +45,7 @@ def given(policies: Sequence[str], config: Config | None = None) -> list[Entry]:
             rows[word] = [Entry(word)]
         elif word in known:
             rows[word] = [_registered(known[word])]
-            registry.load(word, configured)
+            trial.ready(registry.load(word, configured))
         else:
             rows |= _at_path(word, known)
     return [entry for group in rows.values() for entry in group]

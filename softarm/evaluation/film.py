@@ -138,8 +138,9 @@ def sentence(name: str, flown: Flown) -> str:
     """Return a sentence about the flight of a film."""
     goal, status = flown.scenario.goal, flown.flight.status
     closest = "" if status.closest_m is None else f", closest {1e3 * status.closest_m:.0f} mm"
+    stop = "" if flown.flight.stop is None else f"; {flown.flight.stop}"
     result = "reached" if flown.flight.reached else "missed"
-    return f"film: {name}, target y {goal.y_m:g}, z {goal.z_m:g} m {result} in {status.time_s:.1f} s{closest}"
+    return f"film: {name}, target y {goal.y_m:g}, z {goal.z_m:g} m {result} in {status.time_s:.1f} s{closest}{stop}"
 
 
 def _pictures(name: str, flown: Flown, model: Model, radius_m: float) -> Iterator[Pixels]:

@@ -6,6 +6,19 @@ from softarm.evaluation import entries
 from softarm.policies.base import MODELS, PolicyError
 from softarm.schemas.config import Config
 
+FAILING = """
+from softarm.policies.base import PolicySpec
+
+class Failing:
+    spec = PolicySpec("failing", "raises at its first step")
+
+    def reset(self):
+        pass
+
+    def step(self, observation, goal):
+        raise ValueError("boom")
+"""
+
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
@@ -50,6 +63,13 @@ def test_the_folder_of_a_sweep_gives_all_its_policies_with_their_seeds(folder):
 def test_a_name_precedes_a_folder_of_that_name(folder):
     (folder / "reach").symlink_to(folder / "runs" / "mine")
     assert [file for _, _, file in rows("reach", "./reach")] == ["", "reach/reach.onnx"]
+
+
+def test_a_policy_that_fails_at_its_first_step_is_refused(install):
+    """The daemon refuses it too; its flights would count as missed."""
+    install("other_arm", FAILING, failing="Failing")
+    with pytest.raises(PolicyError, match="policy 'failing': step raised ValueError: boom; repair it"):
+        rows("failing")
 
 
 def test_a_policy_of_the_configuration_is_known(folder):

@@ -2,6 +2,7 @@
 
 import io
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,12 @@ def test_a_target_is_flown_from_rest_and_may_be_missed():
     made = flown("reach", (0.0, 0.8))
     assert not made.flight.reached
     assert film.sentence("reach", made).startswith("film: reach, target y 0, z 0.8 m missed in 3.3 s, closest ")
+
+
+def test_a_film_that_ends_with_a_stop_says_why():
+    made = flown("reach", (0.0, 0.8))
+    stopped = made._replace(flight=replace(made.flight, stop="the policy failed (boom)"))
+    assert film.sentence("reach", stopped).endswith(" mm; the policy failed (boom)")
 
 
 def test_a_policy_that_reaches_nothing_is_shown_at_the_first_target():
