@@ -201,7 +201,7 @@ def ladder(before: float, after: float | None, floor: float | None, ceiling: flo
 def disc_map(
     y_m: Sequence[float], z_m: Sequence[float], shares: Sequence[float], title: str, notes: Sequence[str] = ()
 ) -> Html:
-    """Return a map of places with a mark of each share, as in `map_legend`; the caption has their mean.
+    """Return a map of places with a mark of each share, as in `map_legend`.
 
     Args:
         y_m: y of the places, m, [N].
@@ -225,7 +225,7 @@ def disc_map(
         parts.append(el("g", label, *_mark(x_at(y), y_at(z), share)))
     parts += [write(left - 16, y_at(z) + 4, f"{z:.2f}", "end") for z in sorted(set(z_m))]
     parts += [write(x_at(y), height - 8, f"{y:.2f}", "middle") for y in sorted(set(y_m))[::2]]
-    caption = el("figcaption", el("b", title), f" {percent(sum(shares) / len(shares))} (z over y, m)")
+    caption = el("figcaption", el("b", title), " (z over y, m)")
     return el("figure", caption, svg(width, height, f"{title}: targets reached", *parts))
 
 

@@ -123,7 +123,7 @@ def test_a_map_puts_places_where_they_are_and_marks_their_share():
     assert float(full[2]) > float(half[2]) > float(quarter[2]) > 0
     assert drawn.count('class="ring"') == 3
     assert drawn.count('class="missed"') == 1
-    assert "<b>reach</b> 44 %" in drawn
+    assert "<b>reach</b> (z over y, m)" in drawn  # its places may have different numbers of flights: no mean
     assert "y 0.00, z 0.55 m: 50 %" in drawn
 
 
