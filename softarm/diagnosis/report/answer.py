@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from softarm.diagnosis.data.trials import STAGE_NEEDS
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report.words import (
     HELD_OUT,
@@ -197,10 +198,13 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     place = "the whole chain" if stage == "chain" else f"the {stage} stage"
     size = f"{quantity(left.value, left.unit)} RMS; {noise_level(floor)}"
     if ratio <= 1:
+        nothing = f"Nothing is missing in the {it}."
+        if robot == "robot" and (absent := [name for name in STAGE_NEEDS if name not in known]):
+            nothing = f"The recordings do not show {listed(absent)}. In the other stages, nothing is missing."
         return (
             f"No gap beyond noise: {robot} and {it} agree on this data.",
             f"Closest to its noise floor is {place} with {size}.",
-            f"Nothing is missing in the {it}. Other excitations may still show a gap.{calibrated}",
+            f"{nothing} Other excitations may still show a gap.{calibrated}",
         )
     return (
         not_found,

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from softarm.diagnosis import report
+from softarm.diagnosis.data.trials import STAGE_NEEDS
 from softarm.diagnosis.engine.result import Diagnosis, Rival
 from softarm.diagnosis.report import words
 from softarm.diagnosis.report.answer import headline
@@ -185,6 +186,16 @@ def test_none_states_first_what_a_model_leaves_far_above_the_noise_of_the_signal
     assert cause.startswith("No cause" if stated else "No gap")
     assert headline(case) == ("No cause found" if stated else "No gap")
     assert (f"The {stage} stage leaves " in sure and "90 times the noise of its signals" in sure) == stated
+
+
+def test_none_names_the_stages_that_the_recordings_do_not_show():
+    """Without a tracked marker, nothing was compared there: the arm may be any."""
+    _, _, then = report.answer(CASES["none"])
+    assert then.startswith("The recordings do not show rail, arm, mocap, observation and clock. In the other stages, ")
+    small, floor = (rms("m", **dict.fromkeys(STAGE_NEEDS, value)) for value in (0.001, 0.1))
+    whole = NOTHING.model_copy(update={"gap": gap(small, small, floor)})
+    _, _, then = report.answer(replace(CASES["none"], verdict=whole))
+    assert then.startswith("Nothing is missing in the simulator. ")
 
 
 def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
