@@ -75,7 +75,7 @@ def measured(trial: Trial, links: int) -> Motion:
     if good.sum() < FRAMES_MIN:
         raise TrialError(
             f"{trial.source}: {good.sum()} frames show every link and the pressure, at least {FRAMES_MIN} are needed; "
-            "record longer, or check the markers"
+            + ("; ".join(trial.warnings) or "record longer, or check the markers")
         )
     t = mocap.t_s[good]
     cart_y = _cart(t, cart[good, 0], trial)

@@ -123,6 +123,15 @@ def test_a_trial_of_which_the_filter_leaves_nothing_is_refused(record):
         identify(Model(), (record("pressure-multisine", length_s=0.55),))
 
 
+def test_doubts_about_the_data_of_a_trial_that_is_refused_are_stated(record):
+    """The pressure is stamped in milliseconds, so that no frame has one."""
+    trial = record("pressure-multisine", length_s=7.0)
+    late = replace(trial.channels["pressure"], t_s=1e3 + trial.channels["pressure"].t_s)
+    odd = replace(trial, channels={**trial.channels, "pressure": late}, warnings=("divide ms by 1e3",))
+    with pytest.raises(TrialError, match=r"0 frames show every link and the pressure, .* needed; divide ms by 1e3"):
+        identify(Model(), (odd,))
+
+
 def test_a_trial_without_pressure_is_left_out_in_words(record):
     trial = record("pressure-multisine", length_s=7.0)
     blind = replace(trial, channels={k: v for k, v in trial.channels.items() if k != "pressure"})
