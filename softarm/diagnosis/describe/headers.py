@@ -28,13 +28,13 @@ _SPELLINGS = {
 _ROLES: dict[Role, str] = {
     "time": "t time times timestamp stamp zeit zeitstempel clock elapsed date datetime",
     "command": "cmd cmds command commands commanded con control set setpoint sp soll sollwert target ref reference "
-    "desired des goal wanted demand demanded input valve ventil pwm duty u w",
+    "desired des goal wanted demand demanded input valve ventil pwm duty u w ctrl action actions",
     "measured": "meas measured measurement act actual ist istwert feedback fb state sensor encoder enc output y",
 }
 _QUANTITIES = {
-    "rad": "angle angles ang theta phi alpha beta winkel encoder enc q",
+    "rad": "angle angles ang theta phi alpha beta winkel encoder enc q qpos",
     "m": "position positions pos displacement weg distance dist abstand x",
-    "rad/s": "omega drehzahl gyro qd dq rpm",
+    "rad/s": "omega drehzahl gyro qd dq qdot qvel rpm",
     "m/s": "vel velocity velocities speed geschwindigkeit",
     "kPa": "pressure press druck chamber kammer",
     "N": "force kraft",
@@ -45,7 +45,8 @@ _QUANTITIES = {
 # Quantity of a joint without another word, and what a position or velocity of a joint is.
 _JOINT = {"joint", "joints"}
 _OF_JOINT = {"": "rad", "m": "rad", "m/s": "rad/s"}
-_BRACKETS = re.compile(r"(.*?)[\s_/]*[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*")
+# A place in a list is no unit: data[1].
+_BRACKETS = re.compile(r"(?!.*\w\[1\])(.*?)[\s_/]*[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*")
 _SLASH = re.compile(r"(.*?[^\s/])(?:\s*/\s*|\s+in\s+)([^\s/][^/]*(?:/\s*s(?:\^?2)?)?)\s*")
 _COMPOUND = re.compile(r"(soll|ist)(\w+)")
 _WORD = re.compile(r"[^\W\d_]+")

@@ -20,6 +20,9 @@ from softarm.diagnosis.describe import headers
         ("rate_rad_s", "rad/s", "", "rad/s"),
         ("vel_m_s", "m/s", "", "m/s"),
         ("duty [%]", "%", "command", "-"),
+        ("share [1]", "1", "", "-"),
+        ("/commands/data[1]", None, "command", ""),  # an element of a list
+        ("qvel.hip", None, "", "rad/s"),
         ("angleDeg", "deg", "", "rad"),
         ("timestamp", None, "time", ""),
         ("u", None, "command", ""),
