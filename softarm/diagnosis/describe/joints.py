@@ -20,8 +20,10 @@ WIDER, TURNS_RAD = 1.5, 13.0
 # Tracked points further away than this are in millimetres.
 FARTHEST_M = 20.0
 OF_MODEL = "of the model"  # note on a unit
-_RATES, _EFFORTS = ("m/s", "rad/s"), ("N", "N m", "A")
+_RATES = ("m/s", "rad/s")
 TORQUE = {"rad": "N m", "m": "N"}  # unit of a joint -> of its torque
+# Units that a quantity may have: a header rarely shows whether a joint is a hinge or a slide.
+_ALIKE = (("rad", "m"), _RATES, tuple(TORQUE.values()))
 # Ends of a pose's headers, in letters and digits: a part of the orientation or of the position. With its name before.
 _PART = re.compile(r"(?:quaternion|quat|orientation|rotation|q)(?P<turn>[wxyz])|(?:position|pos|p)?(?P<place>[xyz])")
 _POSE = re.compile(f"(?P<name>.*?)(?:{_PART.pattern})")
@@ -109,7 +111,7 @@ def _used(
         if not driven["command"]:
             driven = {"torque": _torque(draft, joint, signals)}
         driven = {channel: columns for channel, columns in driven.items() if columns}
-        measured = _first(draft, [s for s in signals if s not in commands], (*_RATES, *_EFFORTS))
+        measured = _likeliest(draft, joint, [s for s in signals if s not in commands], joint.unit)
         if measured is None:
             _add(unseen, driven)
             continue
@@ -143,7 +145,7 @@ def _sent(draft: Draft, joint: ModelJoint, commands: Sequence[Signal]) -> dict[s
         named = {name: [s for s in commands if _plain(s.header.name) == _plain(name)] for name in joint.shares}
         found = {name: _use(draft, of[0], joint.shares[name], math.inf) for name, of in named.items() if of}
         return found if len(found) == len(named) else {}
-    command = _first(draft, commands, _no_commands(joint))
+    command = _likeliest(draft, joint, commands, joint.command_unit)
     if command is None or not joint.actuator:
         return {}
     return {joint.actuator: _use(draft, command, joint.command_unit, joint.widest)}
@@ -154,21 +156,9 @@ def _torque(draft: Draft, joint: ModelJoint, signals: Sequence[Signal]) -> dict[
     if joint.moved:
         return {}
     unit = TORQUE[joint.unit]
-
-    def fits(signal: Signal) -> bool:
-        stated = draft.units.get(signal.label) or signal.header.unit
-        return draft.standard(signal) in ((unit,) if stated else TORQUE.values())
-
-    torques = [s for s in signals if fits(s)]
-    found = _first(draft, [s for s in torques if draft.role(s) != "command"] or torques, ())
+    torques = [s for s in signals if draft.standard(s) and _may_be(draft, s, unit)]
+    found = _likeliest(draft, joint, [s for s in torques if draft.role(s) != "command"] or torques, unit)
     return {} if found is None else {joint.name: _use(draft, found, unit, math.inf)}
-
-
-def _no_commands(joint: ModelJoint) -> tuple[str, ...]:
-    """Return the units that a joint's command cannot have."""
-    if joint.command_unit in _RATES:
-        return _EFFORTS
-    return (*_RATES, *_EFFORTS) if joint.command_unit == joint.unit else _RATES
 
 
 def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tuple[str, str]]) -> Survey:
@@ -187,13 +177,14 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tu
 
     def read(signal: Signal) -> Signal:
         source, header = str(signal.source), signal.header
-        if header.role in ("command", "measured"):
-            header = replace(header, role=_role(source, joints))
+        if header.role != "time":
+            own = _read(source, joints)
+            header = replace(header, role=own.role, quantity=header.quantity if header.unit else own.quantity)
             signal = replace(signal, header=header)
         if header.unit is not None and any(n in _plain(source) and n not in _plain(header.name) for n in names):
             return replace(signal, header=replace(header, name=source, unit=None, quantity=""))
-        own = _plain(header.name)
-        rests = {name: own.removeprefix(name) for name in objects if own.startswith(name) and own not in names}
+        plain = _plain(header.name)
+        rests = {name: plain.removeprefix(name) for name in objects if plain.startswith(name) and plain not in names}
         found = [name for name, rest in rests.items() if not rest or _PART.fullmatch(rest)]
         if not found:
             return signal
@@ -205,13 +196,13 @@ def named(survey: Survey, joints: Sequence[ModelJoint], sensors: Mapping[str, tu
     return replace(survey, signals=tuple(map(read, survey.signals)))
 
 
-def _role(source: str, joints: Sequence[ModelJoint]) -> headers.Role:
-    """Return the role of a column by the words of its header that are not part of a joint's name."""
+def _read(source: str, joints: Sequence[ModelJoint]) -> headers.Header:
+    """Return what the words of a header suggest that are not part of a joint's name."""
     for name in sorted((joint.name for joint in joints), key=len, reverse=True):
         rest, found = re.subn(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", " ", source, flags=re.IGNORECASE)
         if found:
-            return headers.read(rest).role
-    return headers.read(source).role
+            return headers.read(rest)
+    return headers.read(source)
 
 
 def _tracked(draft: Draft, joints: Sequence[ModelJoint], places: Mapping[str, Collection[str]]) -> dict[str, Signal]:
@@ -296,10 +287,27 @@ def _owners(signal: Signal, joints: Sequence[ModelJoint]) -> list[ModelJoint]:
     return found[max(found)] if found else []
 
 
-def _first(draft: Draft, signals: Sequence[Signal], excluded: Sequence[str]) -> Signal | None:
-    """Return the shortest-named signal, without those of some quantities."""
-    fitting = [s for s in signals if draft.standard(s) not in excluded]
-    return min(fitting, key=lambda s: (len(s.label), s.label), default=None)
+def _likeliest(draft: Draft, joint: ModelJoint, signals: Sequence[Signal], unit: str) -> Signal | None:
+    """Return the signal that is likeliest to be a joint's in a unit, else the shortest-named.
+
+    A header that is the joint's name or states the quantity comes before one with other words, such as a temperature.
+    """
+
+    def rank(signal: Signal) -> tuple[bool, bool, int, str]:
+        is_unclear = not draft.standard(signal) and _plain(signal.header.name) not in _names(joint)
+        return is_unclear, is_unclear and not draft.role(signal), len(signal.label), signal.label
+
+    return min((s for s in signals if _may_be(draft, s, unit)), key=rank, default=None)
+
+
+def _may_be(draft: Draft, signal: Signal, unit: str) -> bool:
+    """Return whether a signal may be in a unit, by the unit or the quantity in its header."""
+    standard = draft.standard(signal)
+    if unit == PURE:
+        return standard not in _RATES
+    if draft.units.get(signal.label) or signal.header.unit:
+        return standard == unit
+    return standard in ("", *next(own for own in _ALIKE if unit in own))
 
 
 def _use(draft: Draft, signal: Signal, unit: str, widest: float) -> Use:

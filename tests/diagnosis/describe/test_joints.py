@@ -272,3 +272,39 @@ def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, an
     upper = channels["torque"]["columns"]["upper"]
     assert (upper["source"], upper["unit"].replace(" ", "")) == (torque, "Nm")
     assert "counts as free" not in text
+
+
+@pytest.mark.parametrize(
+    ("angle", "command", "others"),
+    [
+        ("joint1_present_position", "joint1_goal_position", ("joint1_present_voltage", "joint1_present_temperature")),
+        ("joint1_position", "joint1_cmd", ("joint1_temp", "joint1_err", "joint1_acc [deg/s^2]")),
+        ("joint1_measured", "joint1_desired", ("joint1_err",)),
+        ("joint1", "joint1_ref", ("joint1_position_error", "joint1_A")),
+        ("qpos.joint1", "ctrl.joint1", ("qvel.joint1",)),
+        ("observation.state.joint1.pos", "action.joint1.pos", ()),
+    ],
+)
+def test_temperatures_voltages_and_errors_of_a_joint_are_not_its_angle(tmp_path, angle, command, others):
+    model = tmp_path / "arm.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="joint1" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
+        '</worldbody><actuator><position name="servo" joint="joint1" kp="20"/></actuator></mujoco>'
+    )
+    table = {"t": T, angle: 0.5 * np.sin(T - 0.1), command: 0.5 * np.sin(T)}
+    channels, _ = channels_of(tmp_path, model, table | {name: np.cos(3 * T) for name in others})
+    assert channels["measured"]["columns"]["joint1"]["source"] == angle
+    assert channels["command"]["columns"]["servo"]["source"] == command
+
+
+def test_a_motor_takes_no_angle_for_its_torque(tmp_path):
+    """Logs of legged robots have the angle that the controller wants beside the torque that it sends."""
+    model = tmp_path / "leg.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="knee" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
+        '</worldbody><actuator><motor name="drive" joint="knee"/></actuator></mujoco>'
+    )
+    table = {"t": T, "q_knee": 0.5 * np.sin(T - 0.1), "q_des_knee": 0.5 * np.sin(T), "tau_knee": np.cos(3 * T)}
+    channels, _ = channels_of(tmp_path, model, table)
+    assert channels["torque"]["columns"]["knee"]["source"] == "tau_knee"
+    assert "command" not in channels
