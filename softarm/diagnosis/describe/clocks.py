@@ -17,6 +17,8 @@ RISING = 0.9
 REGULAR = 0.05
 # Rows that a correlation is computed of, and the share of the recording that a lag may have.
 POINTS, LAG_SHARE = 4096, 0.2
+# At this number the nanoseconds of a stamp in two columns start again.
+SECOND_NS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +118,13 @@ def _resampled(at: Array, stamps: Array, values: Array) -> Array:
 
 def _rises(signal: Signal) -> bool:
     steps = np.concatenate([np.diff(each[np.isfinite(each)]) for each in signal.values])
+    if len(steps) and steps.min() < -SECOND_NS / 2 and signal.all.max() < SECOND_NS:
+        return False
     return bool(len(steps) and np.mean(steps >= 0) > 0.99 and np.mean(steps > 0) > 0.5)
 
 
 def _is_regular(signal: Signal) -> bool:
     steps = np.concatenate([np.diff(each) for each in signal.values])
     usual = float(np.median(steps))
-    return bool(usual > 0 and np.mean(np.abs(steps / usual - 1) < REGULAR) > 0.9)
+    is_counter = usual == 1.0
+    return bool(usual > 0 and not is_counter and np.mean(np.abs(steps / usual - 1) < REGULAR) > 0.9)

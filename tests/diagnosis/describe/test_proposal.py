@@ -73,6 +73,18 @@ def test_a_table_without_time_needs_its_rate(table):
     assert (clock.source, clock.scale, clock.unit) == ("rows", 0.02, "s")
 
 
+@pytest.mark.parametrize(
+    ("head", "stamps"),
+    [
+        ("step", [np.arange(300)]),
+        ("stamp.secs,stamp.nsecs", [np.floor(T / 2 + 0.001), np.round((T / 2 + 0.001) % 1 * 1e9)]),
+    ],
+)
+def test_counted_rows_and_the_nanoseconds_of_split_stamps_are_no_time(table, head, stamps):
+    path = table("run.csv", f"{head},cmd_deg,pos_deg", *stamps, U, Y)
+    assert questions(path) == [("--rate", "")]
+
+
 def test_a_second_table_without_time_needs_a_rate_although_the_first_has_one(table):
     files = [table("cmd.csv", "t,cmd_deg", T, U), table("meas.csv", "pos_deg,temp_C", Y, 0 * T + 21)]
     with pytest.raises(Unknown) as caught:
