@@ -223,7 +223,8 @@ class Simulation:
         names = [each.name if each is not None and len(each.shares) < 2 else "" for each in own]
         first = {name: k for k, name in reversed([*enumerate(names)]) if name}  # one joint of each actuator
         self._driven = np.array([*first.values()], dtype=int)
-        self._ctrl = np.array([model.actuator(name).id for name in first], dtype=int)
+        numbers = {model.actuator(i).name or f"actuator{i}": i for i in range(model.nu)}
+        self._ctrl = np.array([numbers[name] for name in first], dtype=int)
         leads = [bool(effects.joints[k].followers) for k in self._driven]  # the actuator moves others as well
         self._leading, self._leading_ctrl = self._driven[leads], self._ctrl[leads]
         self.readings = np.zeros(len(names))  # of the joints, [J]

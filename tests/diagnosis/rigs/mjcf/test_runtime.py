@@ -93,10 +93,12 @@ def test_the_damping_of_a_loop_without_a_derivative_part_brakes_before_the_gear(
     assert np.abs(true - before).max() < 0.1 * np.abs(after - before).max()
 
 
-def test_commands_and_readings_are_late_by_the_delays(tmp_path):
-    _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, PLAIN)), tmp_path / "servo.xml")
+@pytest.mark.parametrize("name", ['name="servo"', ""])  # the robots of Gymnasium have actuators without names
+def test_commands_and_readings_are_late_by_the_delays(tmp_path, name):
+    text = PLAIN.replace('name="servo"', name)
+    _, _, plain = flown(RuntimeEffects.read(*written(tmp_path, text)), tmp_path / "servo.xml")
     late = exact("elbow.dead_time", "ms", delay=40.0), exact("elbow.latency", "ms", delay=12.5)
-    _, _, seen = flown(RuntimeEffects.read(*written(tmp_path, PLAIN, *late)), tmp_path / "servo.xml")
+    _, _, seen = flown(RuntimeEffects.read(*written(tmp_path, text, *late)), tmp_path / "servo.xml")
     at = np.arange(STEPS)
     assert seen[60:] == pytest.approx(np.interp(at - 52.5, at, plain)[60:], abs=1e-9)
 
