@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.gap.recorded import limits_option, refuse_misplaced, write_limits
-from softarm.cli.shared.console import FILE, FOLDER, INPUT, Number, check_places, print_table, print_text, typed, warn
+from softarm.cli.shared.console import (
+    FILE,
+    FOLDER,
+    INPUT,
+    WIDE,
+    Number,
+    check_places,
+    print_table,
+    print_text,
+    typed,
+    warn,
+)
 from softarm.cli.shared.errors import NOTHING, fail, leaves
 from softarm.common.batch import Workers, workers_options
 from softarm.common.processes import bar
@@ -102,7 +113,7 @@ def diagnose(
     if wrong := [name for name in typed() if name in ("--workers", "--ray")]:
         raise click.UsageError(f"{wrong[0]} is for many diagnoses: add --out FOLDER")
     check_places(*places.values())
-    mjcf = _mjcf_of(inputs, data) if patch_file is not None and patch_file.suffix == ".xml" else None
+    mjcf = _mjcf_of(patch_file, inputs, data)
     leaves(NOTHING)
     with bar("reading") as shown:
         result = diagnose_files(inputs, model_file, data, shown.report, warn, budget_s)
@@ -155,11 +166,15 @@ def _diagnose_all(inputs: tuple[Path, ...], options: "Options", workers: Workers
         fail("\n".join(failed))
 
 
-def _mjcf_of(inputs: tuple[Path, ...], data: Path | None) -> Path:
-    """Return the MJCF file of the only input; end the command if it is no stage.yaml of kind mujoco."""
+def _mjcf_of(patch: Path | None, inputs: tuple[Path, ...], data: Path | None) -> Path | None:
+    """Return the MJCF file that a patch changes, None for a YAML patch; end the command if it cannot be written."""
     from softarm.diagnosis.data import stage_file
     from softarm.diagnosis.data.read import TABLES
 
+    if patch is None or patch.suffix.lower() in TABLES:
+        return None
+    if patch.suffix.lower() != ".xml":
+        raise click.UsageError(f"--patch: {patch}; allowed .yaml, or .xml for a MuJoCo model or URDF; rename it")
     if len(inputs) != 1 or inputs[0].suffix not in TABLES:
         raise click.UsageError("--patch: .xml is for one stage.yaml of kind mujoco; name a .yaml, or that file alone")
     (stage, *_) = stage_file.load(inputs[0])
@@ -212,7 +227,7 @@ def show(result: "Diagnosis", json_file: Path | None) -> None:
         others = (before, after, gap.calibrated.get(stage), gap.ceiling.get(stage), gap.floor.get(stage))
         cells = [quantity(q.value, q.unit) if q else "-" for q in others]
         rows.append((stage, "-" if share is None else percent(share), *cells))
-    print_table(("stage", "share", "before", "after", "calibrated", "ceiling", "floor"), rows)
+    print_table(("stage", "share", "before", "after", "calibrated", "ceiling", "floor"), rows, width=WIDE)
     if verdict.calibration and verdict.effects:
         print_text(report.calibration_in_words(result))
     if shown := [each for each in verdict.calibration if each.shrink > CALIBRATION_SHOWN]:
@@ -220,7 +235,7 @@ def show(result: "Diagnosis", json_file: Path | None) -> None:
             (each.name, quantity(each.nominal, each.unit), report.interval(each, each.unit), report.tolerance(each))
             for each in shown
         ]
-        print_table(("calibrated", "nominal", "fitted, 95 % interval", "tolerance"), found)
+        print_table(("calibrated", "nominal", "fitted, 95 % interval", "tolerance"), found, width=WIDE)
     if (flight := report.flight(result)) is not None and verdict.next_experiment is not None:
         separated = verdict.next_experiment.separates
         purpose = f" separates {', '.join(separated)}" if separated else ""

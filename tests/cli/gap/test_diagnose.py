@@ -154,6 +154,13 @@ def test_a_model_that_no_finding_changes_is_not_written(asked, tmp_path):
     assert not patch.exists()
 
 
+def test_a_patch_with_the_suffix_of_another_format_is_refused(asked, tmp_path):
+    trial = write_trial(tmp_path / "c" / "a")
+    refuse("--patch: patched.urdf; allowed .yaml", "diagnose", trial, "--patch", "patched.urdf", code=2)
+    refuse("stage.yaml of kind mujoco", "diagnose", trial, "--patch", "patched.XML", code=2)
+    assert asked.trials is None
+
+
 def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "a.csv").write_text("t,u,y\n" + "".join(f"{k / 10},{k},{k}\n" for k in range(20)))
