@@ -100,9 +100,11 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
 
     leaves(NOTHING)
     _may_be_written(out, overwrite)
-    models = [path for path in data if path.suffix in (".xml", ".urdf")]
+    models = [path for path in data if path.suffix.lower() in (".xml", ".urdf")]
     if len(models) > 1:
         raise click.UsageError(f"{', '.join(map(str, models))}: allowed is one model; name one")
+    if len(models) == len(data):
+        raise click.UsageError(f"{models[0]}: a model and no recordings; name their files or folders as well")
     with waiting("reading the recordings"):
         found = survey([path for path in data if path not in models])
     if models:

@@ -260,7 +260,8 @@ def _unfound(survey: Survey, joints: Sequence[ModelJoint], model: str, measured:
         actuators = ", ".join(f"{j.actuator} of {j.name}" for j in joints if j.name in measured)
         problem = f"no column commands an actuator ({actuators})"
     else:
-        problem = f"no column has the name of a driven or free joint; the model has {', '.join(j.name for j in joints)}"
+        names = ", ".join(joint.name for joint in joints) or "no joint"
+        problem = f"no column has the name and unit of a driven or free joint; the model has {names}"
     return TrialError(
         f"{model}: {problem}; the recordings have {columns}; rename the columns, or write the stage.yaml by hand "
         "(docs/gap/mujoco.md)"

@@ -72,7 +72,8 @@ class Signal:
     @property
     def described(self) -> str:
         """Return the label, with a note if the column is constant."""
-        return f"{self.label} (constant)" if self.is_constant else self.label
+        label = self.label or '""'
+        return f"{label} (constant)" if self.is_constant else label
 
 
 @dataclass(frozen=True, slots=True)

@@ -158,12 +158,31 @@ def test_words_in_a_joints_own_name_make_no_command(tmp_path, columns, joint, su
     assert "Not used" not in text
 
 
-def test_two_models_are_refused(tmp_path):
-    for name in ("a.xml", "b.xml"):
+@pytest.mark.parametrize(
+    ("names", "message"), [(("a.xml", "b.XML"), "allowed is one model"), (("a.xml",), "no recordings")]
+)
+def test_two_models_or_a_model_alone_are_refused(tmp_path, names, message):
+    for name in names:
         shutil.copy(ROBOTS["camera"].model, tmp_path / name)
-    result = invoke("new", "rig", tmp_path / "a.xml", tmp_path / "b.xml")
+    result = invoke("new", "rig", *(tmp_path / name for name in names))
     assert result.exit_code == 2
-    assert "allowed is one model" in result.output
+    assert message in result.output
+
+
+@pytest.mark.parametrize(
+    ("joint", "header", "message"),
+    [
+        ("", "knee", "the model has no joint;"),
+        ('<joint name="knee"/>', "knee [ticks]", "no column has the name and unit of a driven or free joint;"),
+    ],
+)
+def test_a_model_without_joints_and_readings_in_another_unit_are_named(tmp_path, joint, header, message):
+    model = tmp_path / "leg.xml"
+    model.write_text(f'<mujoco><worldbody><body>{joint}<geom size="0.1"/></body></worldbody></mujoco>')
+    result, _ = new_rig(tmp_path, model, {"t": T, header: np.sin(T), "": np.cos(T)})
+    assert result.exit_code == 1
+    assert message in result.output
+    assert ', "";' in result.output
 
 
 POSE = {f"hull_{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")}
