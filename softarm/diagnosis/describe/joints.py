@@ -19,7 +19,7 @@ from softarm.diagnosis.describe.survey import Signal, Survey
 WIDER, TURNS_RAD = 1.5, 13.0
 # Tracked points further away than this are in millimetres.
 FARTHEST_M = 20.0
-OF_MODEL = "of the model"  # note on a unit
+OF_MODEL, BY_RANGE = "of the model", "by the range of the joint"  # notes on a unit
 _RATES = ("m/s", "rad/s")
 TORQUE = {"rad": "N m", "m": "N"}  # unit of a joint -> of its torque
 # Units that a quantity may have: a header rarely shows whether a joint is a hinge or a slide.
@@ -77,7 +77,7 @@ def propose(
         found.setdefault("base", {})[name] = found["measured"].pop(name)
         found.get("torque", {}).pop(name, None)
         draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
-    found = {channel: columns for channel, columns in found.items() if columns}
+    found = {channel: _alike(columns) for channel, columns in found.items() if columns}
     for joint in joints:
         free = not joint.actuator and joint.name not in found.get("torque", {})
         if free and joint.name in found.get("measured", {}):
@@ -128,6 +128,14 @@ def _used(
         if all(places[name.rpartition("_")[0]] for name in tracked):
             draft.notes.append("Tracked points have to be in the model's frame, since none is fixed to its base")
     return found
+
+
+def _alike(columns: Mapping[str, Use]) -> dict[str, Use]:
+    """Return a channel's columns, all angles without a unit in degrees if the range of one of them shows degrees."""
+    if all(use.note != BY_RANGE for use in columns.values()):
+        return dict(columns)
+    small = {name: use for name, use in columns.items() if (use.unit, use.note) == ("rad", OF_MODEL)}
+    return {**columns, **{name: replace(use, unit="deg", note="as of the others") for name, use in small.items()}}
 
 
 def _add(found: dict[str, dict[str, Use]], more: Mapping[str, Mapping[str, Use]]) -> None:
@@ -319,7 +327,7 @@ def _use(draft: Draft, signal: Signal, unit: str, widest: float) -> Use:
         return Use(signal, own, "from the header")
     wide = float(signal.all.max() - signal.all.min())
     if unit == "rad" and wide > widest:
-        return Use(signal, "deg", "by the range of the joint")
+        return Use(signal, "deg", BY_RANGE)
     return Use(signal, unit, OF_MODEL)
 
 

@@ -84,6 +84,13 @@ def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
     assert {use["unit"] for use in uses} == {"deg"}
 
 
+def test_a_joint_that_moves_little_is_in_degrees_as_the_others_are(tmp_path, columns):
+    degrees = [(old, new, 57.29578 * (0.05 if "tilt" in old else 1.0) if old != "t" else 1.0) for old, new, _ in USUAL]
+    _, stage = described(tmp_path, columns, degrees)
+    uses = [*stage["channels"]["measured"]["columns"].values(), *stage["channels"]["command"]["columns"].values()]
+    assert {use["unit"] for use in uses} == {"deg"}
+
+
 @pytest.mark.parametrize(("actuator", "unit"), [("position", "deg"), ("motor", "rad")])
 def test_a_motor_without_a_limit_may_spin_and_a_position_loop_may_not(actuator, unit):
     joint = ModelJoint("wheel", "rad", np.inf, "drive", "rad" if actuator == "position" else "N m")
