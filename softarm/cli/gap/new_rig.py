@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from softarm.cli.shared.console import FILE, INPUT, Number, check_places, print_table, waiting, write
+from softarm.cli.shared.console import FILE, INPUT, Number, check_places, print_table, waiting, warn, write
 from softarm.cli.shared.errors import NOTHING, Failure, fail, leaves
 from softarm.common.quantity import PURE
 from softarm.schemas.stage_model import DESCRIBED
@@ -120,6 +120,8 @@ def rig(data: tuple[Path, ...], out: Path, overwrite: bool, name: str, **given: 
     _refuse_unused(proposal.kind, {"name": name, **given})
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
+    if models:
+        warn(*(f"warning: {note}" for note in proposal.notes))
     leaves(f"{out} was written")
     _check(out, bool(proposal.model))
 

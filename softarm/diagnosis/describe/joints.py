@@ -78,10 +78,12 @@ def propose(
         found.get("torque", {}).pop(name, None)
         draft.notes.append(f"{name} follows {leader} by an equality of the model and is under base")
     found = {channel: _alike(columns) for channel, columns in found.items() if columns}
-    for joint in joints:
-        free = not joint.actuator and joint.name not in found.get("torque", {})
-        if free and joint.name in found.get("measured", {}):
-            draft.notes.append(f"{joint.name} has no actuator and counts as free; write it under base if it is moved")
+    driven = {joint.name for joint in joints if joint.actuator} | found.get("torque", {}).keys()
+    if free := [name for name in found.get("measured", {}) if name not in driven]:
+        draft.notes.append(
+            f"Without actuator or torque, these joints count as free: {', '.join(free)}; if motors drive them, "
+            "record their torques, or write them under base"
+        )
     if not (found.get("measured") or found.get("mocap")):
         raise _unfound(survey, joints, model, tuple(found.get("base", ())))
     stamps = {name: draft.clock(next(iter(columns.values())).signal) for name, columns in found.items()}

@@ -211,9 +211,7 @@ def test_joints_that_follow_and_poses_are_under_base(tmp_path, drone, robot, bas
     channels, text = channels_of(tmp_path, ROBOTS[robot].model, table)
     assert set(channels["base"]["columns"]) == base
     assert set(channels["measured"]["columns"]) == measured
-    assert "counts as free" not in text
-    assert "# Joints that are moved from outside or follow another" in text
-    assert note in " ".join(text.replace("\n#", "").split())
+    assert "count as free" not in text
 
 
 @pytest.mark.parametrize(
@@ -297,7 +295,18 @@ def test_a_joint_without_commands_is_driven_by_its_torque(tmp_path, actuator, an
     assert channels.keys() == {"measured", "torque"}
     upper = channels["torque"]["columns"]["upper"]
     assert (upper["source"], upper["unit"].replace(" ", "")) == (torque, "Nm")
-    assert "counts as free" not in text
+    assert "count as free" not in text
+
+
+def test_joints_that_nothing_drives_are_stated_in_the_terminal(tmp_path):
+    """A URDF has no actuators, and positions alone do not show that motors drive its joints."""
+    model = tmp_path / "arm.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="upper" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    result, _ = new_rig(tmp_path, model, {"t": T, "upper": 0.5 * np.sin(T), "upper/temperature": np.cos(3 * T)})
+    assert "these joints count as free: upper; if motors drive them" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize(
