@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from softarm.diagnosis.engine.candidates import Candidate, Nuisance
 from softarm.diagnosis.engine.equal_sets import Prediction
-from softarm.diagnosis.engine.fits import COARSE, EDGE_COST, NUDGE, nudged
+from softarm.diagnosis.engine.fits import COARSE, EDGE_COST, LEAST_WIDTH, NUDGE, nudged
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 from tests.diagnosis.engine.gauge import ELSEWHERE, Gauge, candidate
@@ -238,11 +238,11 @@ def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear()
 
 
 def test_no_interval_ends_at_its_own_estimate():
-    problem = _problem(_View(truth={SCALE: 0.3}))
-    fit = _fit(problem, GAIN)
-    low, high = problem.interval(fit)
-    assert (low < fit.u[0]).all()
-    assert (high > fit.u[0]).all()
+    """Without noise, all blocks agree."""
+    view = _View(truth={SCALE: 0.3})
+    view.measured = view._predict(view.truth)[:, None]
+    low, high = _problem(view).interval(_fit(_problem(view), GAIN))
+    assert high - low == pytest.approx([2 * LEAST_WIDTH * GAIN.parameters[0].size], rel=0.2)
 
 
 def test_the_size_that_needs_least_of_a_tolerance_is_as_uncertain_as_the_best_one():
