@@ -12,9 +12,6 @@ import pytest
 
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.diagnose import diagnose_files
-from softarm.diagnosis.engine.equal_sets import Prediction
-from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.grid import resolution
 from softarm.diagnosis.rigs.laws import driven_mass as laws
@@ -231,28 +228,6 @@ def test_the_cause_fits_best_with_its_true_size(name):
     assert not fits[name].at_bound
     rivals = {other for other, f in fits.items() if f.loss < 3 * fits[name].loss + 20}
     assert rivals - {name} == set(inseparable)
-
-
-def test_two_effects_are_fitted_with_their_true_sizes():
-    found = {"coulomb_friction.force": 1.6, "damping.viscous": 3.0}
-    view = DrivenMassView(campaign(replace(RUBS, coulomb=1.6, viscous=3.0), KNOWN, **QUICK))
-    fits, problem = fitted(view)
-    both = tuple(fits[path.partition(".")[0]].effects[0] for path in found)
-    fit = problem.fit([(both, tuple(c.starts[0] for c in both))], 12)[0]
-    for path, size in found.items():
-        assert fit.point[f"cart.{path}"] == pytest.approx(size, rel=0.1)
-    assert fit.loss < 0.02 * min(f.loss for f in fits.values())
-
-
-def test_a_force_split_with_friction_is_found_whole_without_it():
-    """Both halves cause the same motion, so no descent leads from one half to the whole."""
-    view = DrivenMassView(campaign(replace(RUBS, offset=-2.0), KNOWN, **QUICK))
-    problem = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)]).weighed()
-    known = {c.name: c for c in candidates(view)}
-    halves = known["cart.force_offset"], known["cart.friction_asymmetry"]
-    both = problem.fit([(halves, ((-1.08,), (0.92,)))], 1)[0]
-    single = Prediction(problem, both).of((0,))
-    assert problem.fit([(single.effects, single.u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
 
 
 def test_dead_time_and_latency_are_indistinguishable():
