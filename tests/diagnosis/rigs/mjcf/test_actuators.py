@@ -11,7 +11,6 @@ import yaml
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.rigs import whole
 from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.mjcf import patch
 from softarm.diagnosis.rigs.mjcf.mechanism import Mechanism
@@ -269,15 +268,6 @@ def test_effects_of_an_actuator_belong_to_all_joints_that_it_moves(tmp_path, rob
     assert {effect: view.part(effect) for effect in parts} == {k: f"actuator {v}" for k, v in parts.items()}
     common, own = (view.gap([{f"{owner}.{gain}.scale": -0.2}]) for owner in (view.part(gain), joint))
     assert np.array_equal(common, own, equal_nan=True)
-
-
-def test_a_tolerance_of_an_actuator_is_one_for_all_its_joints(tmp_path):
-    stage, stages = TENDON.recorded(tmp_path), [*TENDON.joints]
-    views = [view_of_joint(stage, name) for name in stages]
-    loaded = {("gain", "actuator flexor"): stages, ("position_gain", "actuator flexor"): stages}
-    judged = {f"{name}.{effect}" for effect, _ in loaded for name in stages}
-    found = [n.path for n in whole.tolerated(views, loaded, judged) if "gain" in n.path]
-    assert found == ["actuator flexor.gain.scale", "actuator flexor.position_gain.scale"]
 
 
 @pytest.mark.parametrize("lag", ["", ' dyntype="filterexact" dynprm="0.3"'])
