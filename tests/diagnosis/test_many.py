@@ -15,7 +15,7 @@ from softarm.diagnosis.many import Options
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
-from tests.cli.invoke import invoke
+from tests.cli.invoke import refuse, succeed
 from tests.cli.trial_folder import write_trial
 from tests.diagnosis.report.cases import CASES
 
@@ -47,8 +47,7 @@ ROBOTS = [Path("robots/two"), Path("robots/one")]
 
 
 def test_each_input_has_its_files_and_all_have_one_page_and_one_table(asked):
-    outcome = invoke("diagnose", *ROBOTS, "--out", "reports", "--workers", 1, "--budget", 7)
-    assert outcome.exit_code == 0, outcome.output
+    outcome = succeed("diagnose", *ROBOTS, "--out", "reports", "--workers", 1, "--budget", 7)
     out = Path("reports")
     assert Verdict.model_validate_json((out / "one.json").read_text()) == CASES["named"].verdict
     assert model_file.load(out / "one.yaml") == Model()
@@ -140,16 +139,15 @@ def test_only_an_own_patch_of_an_earlier_answer_is_deleted(asked):
 
 def test_a_failure_has_a_row_and_the_others_continue(asked):
     Path("robots/empty").mkdir()
-    outcome = invoke("diagnose", "robots/empty", *ROBOTS, "--out", "reports", "--workers", 1)
-    assert outcome.exit_code == 1
-    assert "robots/empty: robots/empty: contains no trial" in outcome.stderr
+    command = ("diagnose", "robots/empty", *ROBOTS, "--out", "reports", "--workers", 1)
+    refuse("robots/empty: robots/empty: contains no trial", *command)
     rows = json.loads(Path("reports/index.json").read_text())
     assert [bool(row["failure"]) for row in rows] == [True, False, False]
     assert rows[0]["verdict"] is None
     assert 'href="empty.html"' not in Path("reports/index.html").read_text()
     shutil.rmtree("robots/empty")
     write_trial(Path("robots/empty/loud"))
-    assert invoke("diagnose", "robots/empty", *ROBOTS, "--out", "reports", "--workers", 1).exit_code == 0
+    succeed(*command)
     assert asked.trials == ["quiet", "loud", "loud"]
 
 
@@ -158,9 +156,7 @@ def test_every_diagnosis_may_fail_also_without_a_text(asked, monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr(many, "diagnose_files", full)
-    outcome = invoke("diagnose", *ROBOTS, "--out", "reports", "--workers", 1)
-    assert outcome.exit_code == 1
-    assert "robots/two: MemoryError" in outcome.stderr
+    refuse("robots/two: MemoryError", "diagnose", *ROBOTS, "--out", "reports", "--workers", 1)
 
 
 def test_names_are_the_parts_of_the_paths_that_differ():
@@ -187,6 +183,4 @@ def test_names_are_the_parts_of_the_paths_that_differ():
     ],
 )
 def test_options_of_one_and_of_many_diagnoses_are_not_mixed(asked, options, words):
-    outcome = invoke("diagnose", *ROBOTS, *options)
-    assert outcome.exit_code == 2
-    assert words in outcome.output
+    refuse(words, "diagnose", *ROBOTS, *options, code=2)

@@ -9,6 +9,7 @@ from pyarrow import parquet
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import TrialError
+from tests.diagnosis.data.servo import changed
 from validation.mechanisms.record import ROBOTS
 
 STAGE = """
@@ -72,22 +73,18 @@ def test_the_episodes_of_one_file_are_split_by_their_column(dataset, first):
     assert all(len(trial.channels["measured"]) == len(T) for trial in trials)
 
 
+PAN = "pan: {source: observation.state, element: 0"
+
+
 @pytest.mark.parametrize(
-    ("place", "message"),
+    ("old", "new", "message"),
     [
-        ("element: 0", "column timestamp contains plain numbers, not lists; leave `element` out"),
-        ("row: 7", "column timestamp has no rows to choose from; leave `row` out"),
+        (PAN, "pan: {source: timestamp, element: 0", "contains plain numbers, not lists; leave `element` out"),
+        (PAN, "pan: {source: timestamp, row: 7", "timestamp has no rows to choose from; leave `row` out"),
+        ("episode_*.parquet", "episode_*.parquet, split: episode", "no column episode"),
     ],
 )
-def test_a_place_in_a_column_without_lists_or_rows_is_refused(dataset, place, message):
-    text = STAGE.replace("pan: {source: observation.state, element: 0", f"pan: {{source: timestamp, {place}")
-    (dataset / "stage.yaml").write_text(text)
+def test_a_place_that_the_columns_lack_is_refused(dataset, old, new, message):
+    (dataset / "stage.yaml").write_text(changed(STAGE, (old, new)))
     with pytest.raises(TrialError, match=message):
-        tables.read(dataset / "stage.yaml")
-
-
-def test_a_column_for_the_split_that_is_missing_is_an_error(dataset):
-    text = STAGE.replace("episode_*.parquet}", "episode_*.parquet, split: episode}")
-    (dataset / "stage.yaml").write_text(text)
-    with pytest.raises(TrialError, match="no column episode"):
         tables.read(dataset / "stage.yaml")

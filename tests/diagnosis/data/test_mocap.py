@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from softarm.diagnosis.data import mocap, tables
 from softarm.diagnosis.data.skeleton import Skeleton
 from softarm.diagnosis.data.trials import Series, TrialError
-from tests.cli.invoke import invoke
+from tests.cli.invoke import succeed
 
 # A turret, an upper arm and a forearm, and a carriage that carries them.
 ARM = """
@@ -276,17 +276,13 @@ def test_fixed_points_show_the_frame_of_motion_capture(arm, fixed, moved):
 def test_with_fewer_fixed_points_coordinates_have_to_be_in_the_frame_of_the_model(arm, fixed):
     columns = tracked(arm, TRUE, ("tip", "elbow_marker", *fixed))
     assert solved(arm, columns)["elbow"] == pytest.approx(TRUE[:, 3], abs=1e-6)
-    with pytest.raises(
-        TrialError, match=r"the tracked points differ by .* that origin and axes are those of the model"
-    ):
+    with pytest.raises(TrialError, match=r"tracked points differ by .* that origin and axes are those of the model"):
         solved(arm, in_another_frame(columns))
 
 
 def test_a_fixed_point_that_is_elsewhere_is_refused(arm):
     columns = tracked(arm, TRUE, ("tip", "elbow_marker", "left", "right", "back"))
-    with pytest.raises(
-        TrialError, match=r"run.csv: the fixed points left, right, back differ by 0\.\d+ m from the model"
-    ):
+    with pytest.raises(TrialError, match=r"run.csv: the fixed points left, right, back differ by 0\.\d+ m from"):
         solved(arm, in_another_frame(columns, wrong="left"))
 
 
@@ -318,16 +314,11 @@ def test_stamps_of_one_clock_are_not_corrected(arm, noise_m):
     assert not mocap.positions(Skeleton(arm, columns, ["rail"]), Series(T, columns), [rail], Path("run.csv"))[1]
 
 
-def test_readings_at_another_time_are_refused(arm):
+@pytest.mark.parametrize("at_s", [T + 100, T[:1]], ids=["elsewhere", "one row"])
+def test_readings_at_another_time_are_refused(arm, at_s):
     columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
     with pytest.raises(TrialError, match=r"run.csv: motion capture and rail have no time in common; give them stamps"):
-        solved(arm, columns, {"rail": TRUE[:, 0]}, T + 100)
-
-
-def test_encoders_of_one_row_have_no_time_in_common(arm):
-    columns = tracked(arm, TRUE, ("tip", "elbow_marker"))
-    with pytest.raises(TrialError, match=r"run.csv: motion capture and rail have no time in common"):
-        solved(arm, columns, {"rail": TRUE[:1, 0]}, T[:1])
+        solved(arm, columns, {"rail": TRUE[: len(at_s), 0]}, at_s)
 
 
 def test_tracked_points_whose_joints_are_all_known_are_refused(arm):
@@ -364,7 +355,7 @@ def described(folder, encoders=(), fixed=(), means=(0.8,)):
         recordings.append(folder / f"run-{number}.csv")
         np.savetxt(recordings[-1], table, delimiter=",", header="t," + ",".join(columns), comments="")
     out = folder / "stage.yaml"
-    return out, invoke("new", "rig", file, *recordings, "--out", out)
+    return out, succeed("new", "rig", file, *recordings, "--out", out).stdout
 
 
 @pytest.fixture(scope="module")
@@ -373,9 +364,8 @@ def rig(tmp_path_factory):
 
 
 def test_a_description_is_written_and_its_joints_are_checked(rig):
-    file, result = rig
-    assert result.exit_code == 0, result.output
-    assert "valid; 8 trials of rail (mujoco), yaw (mujoco), shoulder (mujoco), elbow (mujoco)" in result.stdout
+    file, printed = rig
+    assert "valid; 8 trials of rail (mujoco), yaw (mujoco), shoulder (mujoco), elbow (mujoco)" in printed
     channels = yaml.safe_load(file.read_text())["channels"]
     assert channels.keys() == {"mocap", "command"}
     assert channels["mocap"]["columns"]["tip_x"] == {"source": "tip_x", "unit": "mm"}
@@ -394,8 +384,7 @@ def test_a_trial_has_the_joints_and_their_effects_and_not_the_points(rig):
 
 
 def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path):
-    file, result = described(tmp_path, ["rail"])
-    assert result.exit_code == 0, result.output
+    file, _ = described(tmp_path, ["rail"])
     stage = yaml.safe_load(file.read_text())
     channels = stage["channels"]
     assert channels.keys() == {"measured", "mocap", "command"}
@@ -413,8 +402,7 @@ def test_joints_with_encoders_and_tracked_joints_are_measured_together(tmp_path)
 
 
 def test_fixed_points_are_found_though_they_never_move(tmp_path):
-    file, result = described(tmp_path, fixed=("left", "right", "back"))
-    assert result.exit_code == 0, result.output
+    file, _ = described(tmp_path, fixed=("left", "right", "back"))
     assert "in the model's frame" not in file.read_text()
     assert len(yaml.safe_load(file.read_text())["channels"]["mocap"]["columns"]) == 15
     elbow = next(t for t in tables.read(file) if t.name == "run-1/elbow")
@@ -422,8 +410,7 @@ def test_fixed_points_are_found_though_they_never_move(tmp_path):
 
 
 def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
-    file, result = described(tmp_path, JOINTS)
-    assert result.exit_code == 0, result.output
+    file, _ = described(tmp_path, JOINTS)
     assert yaml.safe_load(file.read_text())["channels"].keys() == {"measured", "command"}
 
 
@@ -432,10 +419,7 @@ def test_points_whose_joints_all_have_encoders_are_not_tracked(tmp_path):
     [
         (lambda s: s["channels"].pop("mocap"), "a mujoco stage needs a channel measured"),
         (lambda s: s["channels"]["mocap"]["columns"]["tip_x"].update(unit="rad"), "allowed are units of m"),
-        (
-            lambda s: s.update(effects={"tip.gain": {"scale": 0.1}}),
-            "no mechanism tip; allowed rail, yaw, ",
-        ),
+        (lambda s: s.update(effects={"tip.gain": {"scale": 0.1}}), "no mechanism tip; allowed rail, yaw, "),
         (lambda s: s["trials"][0].update(files={"command": "run-1.csv"}), "names no file for the mocap channel"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from softarm.diagnosis.describe.joints import ModelJoint
-from tests.cli.invoke import invoke
+from tests.cli.invoke import invoke, refuse, succeed
 from tests.diagnosis.describe.conftest import T
 from validation.mechanisms.record import ROBOTS, Truth, record
 
@@ -23,26 +23,30 @@ def drone():
 
 
 def new_rig(folder, model, columns):
-    """Write columns as a table, describe it with the model, and return the result and the text of the stage file."""
-    data, out = folder / "run-1.csv", folder / "stage.yaml"
+    """Write columns as a table, and return the command that describes it with the model."""
+    data = folder / "run-1.csv"
     table = np.stack([*columns.values()], axis=1)
     np.savetxt(data, table, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
-    result = invoke("new", "rig", model, data, "--out", out)
-    return result, (out.read_text() if out.exists() else "")
+    return "new", "rig", model, data, "--out", folder / "stage.yaml"
 
 
 def channels_of(folder, model, columns):
     """Return the channels of the stage file that is written for a table and a model, and its text."""
-    result, text = new_rig(folder, model, columns)
-    assert result.exit_code == 0, result.output
+    succeed(*new_rig(folder, model, columns))
+    text = (folder / "stage.yaml").read_text()
     return yaml.safe_load(text)["channels"], text
 
 
-def described(folder, columns, names):
-    """Write a table with renamed columns beside the model, and describe both."""
+def of_camera(folder, columns, names):
+    """Write a table with renamed columns beside the model, and return the command that describes both."""
     model = shutil.copy(ROBOTS["camera"].model, folder / "camera.xml")
-    result, text = new_rig(folder, model, {new: columns[old] * scale for old, new, scale in names})
-    return result, yaml.safe_load(text)
+    return new_rig(folder, model, {new: columns[old] * scale for old, new, scale in names})
+
+
+def described(folder, columns, names):
+    """Return what the command prints for a table with renamed columns, and the stage."""
+    result = succeed(*of_camera(folder, columns, names))
+    return result.output, yaml.safe_load((folder / "stage.yaml").read_text())
 
 
 USUAL = [
@@ -61,8 +65,7 @@ def complete(tmp_path_factory, columns):
 
 
 def test_joints_actuators_and_units_are_found_and_the_check_lists_each_column_once(complete):
-    result, stage = complete
-    assert result.exit_code == 0, result.output
+    printed, stage = complete
     assert stage["kind"] == "mujoco"
     assert stage["model"] == {"mjcf": "camera.xml"}
     assert {name: use["source"] for name, use in stage["channels"]["measured"]["columns"].items()} == {
@@ -71,10 +74,10 @@ def test_joints_actuators_and_units_are_found_and_the_check_lists_each_column_on
     assert {name: use["source"] for name, use in stage["channels"]["command"]["columns"].items()} == {
         "pan_drive": "pan_goal", "tilt_drive": "tilt_goal",
     }  # fmt: skip
-    rows = [[cell.strip() for cell in line.split("│")] for line in result.stdout.splitlines()]
+    rows = [[cell.strip() for cell in line.split("│")] for line in printed.splitlines()]
     listed = [row[6] for row in rows if row[1:2] == ["run-1"]]
     assert sorted(listed) == ["pan", "pan_drive", "tilt", "tilt_drive", "track"]
-    assert "complete `model:`" not in result.stdout
+    assert "complete `model:`" not in printed
 
 
 def test_degrees_are_recognised_by_the_range_or_the_header(tmp_path, columns):
@@ -91,17 +94,16 @@ def test_a_joint_that_moves_little_is_in_degrees_as_the_others_are(tmp_path, col
     assert {use["unit"] for use in uses} == {"deg"}
 
 
-@pytest.mark.parametrize(("actuator", "unit"), [("position", "deg"), ("motor", "rad")])
-def test_a_motor_without_a_limit_may_spin_and_a_position_loop_may_not(actuator, unit):
-    joint = ModelJoint("wheel", "rad", np.inf, "drive", "rad" if actuator == "position" else "N m")
-    assert ("deg" if joint.widest < 50.0 else "rad") == unit
+@pytest.mark.parametrize(("command", "spins"), [("rad", False), ("N m", True)], ids=["position loop", "motor"])
+def test_a_motor_without_a_limit_may_spin_and_a_position_loop_may_not(command, spins):
+    assert (ModelJoint("wheel", "rad", np.inf, "drive", command).widest > 50.0) == spins
 
 
 def test_a_joint_that_no_column_measures_is_stated_before_the_diagnosis(tmp_path, columns, complete):
-    result, _ = described(tmp_path, columns, USUAL)
-    (warning,) = [line for line in result.output.splitlines() if "no column measures track" in line]
+    printed, _ = described(tmp_path, columns, USUAL)
+    (warning,) = [line for line in printed.splitlines() if "no column measures track" in line]
     assert warning.startswith("warning: all 2 stages: no column measures track")
-    assert "no column measures" not in complete[0].output
+    assert "no column measures" not in complete[0]
 
 
 def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_path, columns):
@@ -119,10 +121,9 @@ def test_a_joint_without_a_commanded_actuator_counts_as_moved_from_outside(tmp_p
 
 
 def test_columns_without_a_joints_name_are_an_error_with_both_lists(tmp_path, columns):
-    result, stage = described(tmp_path, columns, [("t", "t_s", 1.0), ("q_pan", "alpha", 1.0), ("cmd_pan", "beta", 1.0)])
-    assert result.exit_code == 1
-    assert stage is None
-    assert "the model has track, pan, tilt; the recordings have" in result.output
+    command = of_camera(tmp_path, columns, [("t", "t_s", 1.0), ("q_pan", "alpha", 1.0), ("cmd_pan", "beta", 1.0)])
+    refuse("the model has track, pan, tilt; the recordings have", *command)
+    assert not (tmp_path / "stage.yaml").exists()
 
 
 def test_a_column_with_the_name_of_an_actuator_is_its_command(tmp_path, columns):
@@ -135,11 +136,10 @@ def test_a_column_with_the_name_of_an_actuator_is_its_command(tmp_path, columns)
 def test_measured_joints_without_any_command_are_an_error_that_names_their_actuators(tmp_path, columns):
     still = [(old, new, 0.0 if "goal" in new else scale) for old, new, scale in USUAL]
     for names in (still, [each for each in still if each[1] != "tilt_goal"]):
-        result, stage = described(tmp_path, columns, names)
-        assert result.exit_code == 1
-        assert stage is None
-        assert "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings" in result.output
+        message = "no column commands an actuator (pan_drive of pan, tilt_drive of tilt); the recordings"
+        result = refuse(message, *of_camera(tmp_path, columns, names))
         assert "pan_goal (constant)" in result.output
+        assert not (tmp_path / "stage.yaml").exists()
 
 
 def test_a_joint_whose_name_ends_like_a_unit_is_found(tmp_path, columns):
@@ -171,9 +171,7 @@ def test_words_in_a_joints_own_name_make_no_command(tmp_path, columns, joint, su
 def test_two_models_or_a_model_alone_are_refused(tmp_path, names, message):
     for name in names:
         shutil.copy(ROBOTS["camera"].model, tmp_path / name)
-    result = invoke("new", "rig", *(tmp_path / name for name in names))
-    assert result.exit_code == 2
-    assert message in result.output
+    refuse(message, "new", "rig", *(tmp_path / name for name in names), code=2)
 
 
 @pytest.mark.parametrize(
@@ -186,9 +184,7 @@ def test_two_models_or_a_model_alone_are_refused(tmp_path, names, message):
 def test_a_model_without_joints_and_readings_in_another_unit_are_named(tmp_path, joint, header, message):
     model = tmp_path / "leg.xml"
     model.write_text(f'<mujoco><worldbody><body>{joint}<geom size="0.1"/></body></worldbody></mujoco>')
-    result, _ = new_rig(tmp_path, model, {"t": T, header: np.sin(T), "": np.cos(T)})
-    assert result.exit_code == 1
-    assert message in result.output
+    result = refuse(message, *new_rig(tmp_path, model, {"t": T, header: np.sin(T), "": np.cos(T)}))
     assert ', "";' in result.output
 
 
@@ -246,8 +242,8 @@ def test_a_command_has_the_unit_of_its_actuator(tmp_path, actuator, unit):
     model = tmp_path / "gripper.xml"
     servo = actuator.format('name="grip" joint="finger"')
     model.write_text(f"<mujoco><worldbody>{body}</worldbody><actuator>{servo}</actuator></mujoco>")
-    _, text = new_rig(tmp_path, model, {"t": T, "grip": 3 * np.sin(T), "finger": 0.3 + 0.15 * np.sin(T - 0.1)})
-    assert yaml.safe_load(text)["channels"]["command"]["columns"]["grip"]["unit"] == unit
+    table = {"t": T, "grip": 3 * np.sin(T), "finger": 0.3 + 0.15 * np.sin(T - 0.1)}
+    assert channels_of(tmp_path, model, table)[0]["command"]["columns"]["grip"]["unit"] == unit
 
 
 @pytest.mark.parametrize("encoder", ["encoder_1", "marker_qx"])
@@ -268,7 +264,8 @@ def test_columns_with_the_names_of_the_models_sensors_belong_to_what_they_read(t
     )
     names = ("servo", encoder, "marker_x", "marker_y", "marker_z", "apart_x")
     table = {"t": T} | {name: 0.5 * np.sin(T - 0.1 * place) for place, name in enumerate(names)}
-    channels = yaml.safe_load(new_rig(tmp_path, model, table)[1])["channels"]
+    invoke(*new_rig(tmp_path, model, table))  # is written though the marker does not show the lower joint
+    channels = yaml.safe_load((tmp_path / "stage.yaml").read_text())["channels"]
     assert {name: use["source"] for name, use in channels["measured"]["columns"].items()} == {"upper": encoder}
     assert {name: use["source"] for name, use in channels["mocap"]["columns"].items()} == {
         f"lower_mark_{axis}": f"marker_{axis}" for axis in "xyz"
@@ -305,7 +302,8 @@ def test_joints_that_nothing_drives_are_stated_in_the_terminal(tmp_path):
         '<mujoco><worldbody><body><joint name="upper" range="-90 90"/><geom pos="0 0 -0.5" size="0.1"/></body>'
         "</worldbody></mujoco>"
     )
-    result, _ = new_rig(tmp_path, model, {"t": T, "upper": 0.5 * np.sin(T), "upper/temperature": np.cos(3 * T)})
+    table = {"t": T, "upper": 0.5 * np.sin(T), "upper/temperature": np.cos(3 * T)}
+    result = succeed(*new_rig(tmp_path, model, table))
     assert "these joints count as free: upper; if motors drive them" in " ".join(result.output.split())
 
 
