@@ -39,7 +39,6 @@ def test_it_is_as_good_as_an_exact_solver_and_stays_in_the_box(alike):
 
 
 def test_a_coordinate_without_influence_stays():
-    """A column of zeros (a nuisance that no view sees) stays at zero and changes nothing else."""
     normal, slope = np.diag([2.0, 0.0, 4.0]), np.array([2.0, 0.0, 20.0])
     found = box.solve(normal, slope, np.array([-3.0, -3.0, -3.0]), np.array([3.0, 3.0, 3.0]))
     np.testing.assert_allclose(found, [1.0, 0.0, 3.0], atol=1e-6)

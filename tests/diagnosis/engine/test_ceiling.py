@@ -26,13 +26,6 @@ def _noise(seed=1):
     return np.random.default_rng(seed).normal(size=SAMPLES)
 
 
-def _before(view, lag):
-    """Return the input `lag` samples ago, zero before the start of its trial."""
-    moved = np.roll(view.features["input"], lag)
-    moved[np.arange(SAMPLES) % LENGTH < lag] = 0.0
-    return moved
-
-
 def _share(view, residual, simulated=0.0, folds=2):
     view.measured = (simulated + residual)[:, None]
     return explainable(view, residual[:, None], view.trial % folds)
@@ -46,7 +39,8 @@ def test_noise_is_explained_by_nothing():
 @pytest.mark.parametrize("lag", [0, LONGEST])
 def test_a_law_of_the_present_or_of_the_past_is_found_and_its_feature_named(lag):
     view = _view()
-    share, used = _share(view, _before(view, lag))
+    before = np.where(np.arange(SAMPLES) % LENGTH < lag, 0.0, np.roll(view.features["input"], lag))
+    share, used = _share(view, before)
     assert share > 0.9
     assert next(iter(used)) == "input"
     assert used["input"] > 0.8

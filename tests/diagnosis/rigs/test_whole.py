@@ -308,7 +308,6 @@ def diagnosed(folder, robot, truth, seconds=5.0):
 
 @pytest.mark.prove
 def test_one_payload_is_named_at_every_joint_and_patched_once(tmp_path):
-    """The tilt axis alone takes it for a heavier body or a weaker motor as well."""
     verdict = diagnosed(tmp_path, "camera", Truth({}, load=LOAD))
     assert verdict.verdict == "named"
     assert {e.name: e.equivalents for e in verdict.effects} == {"pan.payload": (), "tilt.payload": ()}

@@ -91,7 +91,6 @@ def test_a_dead_zone_of_any_width_has_a_start_close_by():
 
 
 def test_an_effect_of_the_model_can_be_taken_out():
-    """Some start or bound of the seed's own effects reaches the value at which the effect is absent."""
     for name in ("pressure.lag", "rail.delay", "rail.acceleration_limit"):
         for fitted in next(each for each in ALL if each.name == name).parameters:
             assert fitted.low <= fitted.neutral <= fitted.high

@@ -177,24 +177,21 @@ def test_trials_of_unlike_lengths_lie_side_by_side():
     assert step[trial == 1].max() == length - 1
 
 
+MOCAP = _trial().channels["mocap"]
+FOUR = Series(MOCAP.t_s, {name: x for name, x in MOCAP.columns.items() if not name.startswith("link5")})
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
         (lambda t: _without(t, "command"), "command"),
         (lambda t: _without(t, "pressure", "rail", "mocap"), "no measurements"),
         (lambda t: replace(t, channels=t.channels | {"pressure": BRIEF}), r"cover only 1\.4 s, at least 2 s"),
+        (lambda t: replace(t, channels=t.channels | {"mocap": FOUR}), "mocap sees 4 links, the model has 5"),
     ],
-    ids=["no commands", "nothing measured", "too short"],
+    ids=["no commands", "nothing measured", "too short", "other links"],
 )
 def test_errors_name_the_file_and_the_next_step(spoil, message):
     with pytest.raises(TrialError, match=message) as caught:
         on_grid([spoil(_trial())], MODEL)
-    assert str(Path("campaign/one")) in str(caught.value)
-
-
-def test_an_arm_of_other_links_is_refused_by_name():
-    trial = _trial()
-    poses = {n: v for n, v in trial.channels["mocap"].columns.items() if not n.startswith("link5")}
-    with pytest.raises(TrialError, match="mocap sees 4 links, the model has 5") as caught:
-        on_grid([_trial(mocap=Series(trial.channels["mocap"].t_s, poses))], MODEL)
     assert str(Path("campaign/one")) in str(caught.value)
