@@ -90,9 +90,9 @@ class Remote:
             response = self._client.request(method, path, json=body, timeout=timeout_s)
         except httpx.UnsupportedProtocol:
             raise click.BadParameter(f"{self.url!r} lacks http:// or https://; e.g. {DEFAULT_URL}") from None
-        except httpx.ConnectError:
+        except httpx.ConnectError as error:
             raise Unreachable(
-                f"no daemon at {self.url}: start one with `softarm run --config FILE`, or name its --url"
+                f"no daemon at {self.url} ({error}): start one with `softarm run --config FILE`, or name its --url"
             ) from None
         except httpx.TimeoutException:
             fail(f"the daemon at {self.url} has not answered for {timeout_s:g} s: see its own output")

@@ -127,7 +127,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(folder, line, near):
         ("run --simulated --model one-link.yaml", "has 1 links; the daemon flies an arm of 5"),
         ("run --simulated --config ports.yaml --port 9001", "--port 9001: stop_port is 9001 like port: choose"),
         ("service install", "root is required: put `sudo` before this command's full path"),
-        ("status --url http://127.0.0.1:1", ":1: start one with `softarm run --config FILE`, or name its --url"),
+        ("status --url http://127.0.0.1:1", ":1 ([Errno 111] Connection refused): start one with `softarm run"),
         ("twin --config twin.yaml --fault arm.payload=heavy", "'heavy' is not a number"),
         ("twin --config twin.yaml --fault mocap_drop_body=link9", "allowed: cart, link1"),
         ("twin --config twin.yaml --fault pressure.lag=0.3", "write pressure.lag.inflate=VALUE or pressure.lag.d"),
