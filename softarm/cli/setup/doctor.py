@@ -58,9 +58,10 @@ def doctor(
     from softarm.daemon.doctor import examination, running
 
     config, mistakes = examination.configuration(config_file, wires=not simulated)
+    own_token = None if url or mistakes else config.api.token_file
     url = url or url_of(config.api)
     try:
-        daemon = running.look(url, token_of(token_file))
+        daemon = running.look(url, token_of(token_file) or token_of(own_token))
     except ValueError as error:
         raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
     target = examination.Target(config_file, config, mistakes, url, daemon, simulated, folder)

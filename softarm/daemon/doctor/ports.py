@@ -113,7 +113,7 @@ def holder(path: str) -> str | None:
 def judge_serial(facts: Serial) -> Iterator[Finding]:
     """Yield a finding on the regulator's serial device."""
     if not facts.there and not facts.path.startswith("/dev/"):
-        yield problem("regulator", f"{facts.path} is not there", TWIN)
+        yield problem("regulator", f"{facts.path} is not there", f"{TWIN}, or name a device under /dev")
     elif not facts.there:
         seen = ", ".join(facts.others)
         others = f"or name one of {seen} as drivers.regulator.port" if seen else "see `dmesg` for whether it shows"
@@ -172,9 +172,12 @@ def listening(config: Config, wires: bool) -> Iterator[Finding]:
         address = tcp_address(mocap.endpoint)
         if address is not None:
             wanted.append(("drivers.mocap.endpoint", *address))
+    uses = dict[tuple[str, int], str]()
     for key, host, port in wanted:
         try:
-            if port:
+            if port and (other := uses.setdefault((host, port), key)) != key:
+                yield problem(key, f"{host}:{port} is {other}, too", "name another port for one of them")
+            elif port:
                 sockets.try_out(host, port, key)
                 yield ok(key, f"{host}:{port} is free")
         except sockets.ApiError as error:

@@ -73,6 +73,18 @@ def test_a_daemon_that_requires_a_token_is_recognised(softarm, daemon, bench):
     assert "--token-file" in done.output
 
 
+def test_the_token_of_the_configuration_is_sent_to_its_own_daemon_only(softarm, daemon, bench, monkeypatch):
+    sent = []
+    monkeypatch.delenv("SOFTARM_URL")
+    monkeypatch.setattr(running, "look", lambda url, token: sent.append(token))
+    (bench / "token").write_text("t" * 16)
+    (bench / "token").chmod(0o600)
+    (bench / "softarm.yaml").write_text("api: {port: 0, token_file: token}\n")
+    softarm("doctor", "--config", "softarm.yaml", "--simulated")
+    softarm("doctor", "--config", "softarm.yaml", "--simulated", "--url", "http://127.0.0.1:9")
+    assert sent == ["t" * 16, None]
+
+
 def test_another_program_is_not_taken_for_a_daemon(softarm, daemon, bench):
     daemon.on("GET", "/api/status", {"hello": "you"})
     done = softarm("doctor", "--config", "softarm.yaml", "--simulated", "--json")

@@ -26,6 +26,7 @@ def only(findings):
         ({"there": False}, "plug the Teensy in"),
         ({"there": False, "others": ("/dev/ttyACM1",)}, "/dev/ttyACM1"),
         ({"there": False, "path": "/tmp/regulator"}, "softarm twin"),
+        ({"there": False, "path": "COM3"}, "or name a device under /dev"),
         ({"is_device": False}, "is no serial device"),
         ({"permitted": False}, "usermod -aG dialout ann"),
         ({"permitted": False, "group": "root"}, "udev rule"),
@@ -125,6 +126,15 @@ def test_a_used_port_and_a_foreign_address_are_reported(drive):
     assert [each.name for each in ports.listening(config, wires=False)] == ["api.port"]
     drive.close()
     assert only(ports.listening(config, wires=False)).state is State.OK
+
+
+def test_a_port_with_two_uses_is_reported(drive):
+    free = drive.getsockname()[1]
+    drive.close()
+    config = Config(api=Api(port=0, stop_port=free), drivers=Drivers(mocap=Mocap(endpoint=f"tcp/127.0.0.1:{free}")))
+    stop, mocap = ports.listening(config, wires=True)
+    assert (stop.state, mocap.state) == (State.OK, State.PROBLEM)
+    assert mocap.figure == f"127.0.0.1:{free} is api.stop_port, too"
 
 
 def test_an_endpoint_without_tcp_is_not_checked():
