@@ -4,9 +4,9 @@ import time
 
 import click
 
-from softarm.cli.shared.client import Remote, remote
+from softarm.cli.shared.client import STOP_TIMEOUT_S, Remote, remote
 from softarm.cli.shared.console import waiting
-from softarm.cli.shared.errors import fail, leaves
+from softarm.cli.shared.errors import Failure, fail, leaves
 
 _POLL_S = 0.05
 # The one refusal that clears by itself, and how long to wait for it.
@@ -88,7 +88,10 @@ def stop(daemon: Remote, stop_port: int | None) -> None:
       softarm stop
     """
     if not daemon.stop(stop_port):
-        daemon.post("/api/stop")
+        try:
+            daemon.request("POST", "/api/stop", timeout_s=STOP_TIMEOUT_S)
+        except Failure as error:
+            fail(f"NOT confirmed: use the emergency-stop button; {error.message}")
     click.echo(f"stopped and latched; {daemon.command('acknowledge')} releases the latch")
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 DEFAULT_URL = "http://127.0.0.1:8080"
 TIMEOUT_S = 5.0
-STOP_TIMEOUT_S = 1.0  # of the dedicated stop port; the daemon answers within 0.5 s
+STOP_TIMEOUT_S = 1.0  # of a stop on either port; the daemon answers within 0.5 s
 
 
 def url_of(api: "Api") -> str:

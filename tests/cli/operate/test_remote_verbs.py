@@ -2,6 +2,7 @@
 
 import json
 import socket
+import time
 from datetime import UTC, datetime
 
 import pytest
@@ -127,6 +128,16 @@ def test_the_stop_port_is_by_default_the_port_of_the_api_plus_one(softarm, stop_
     monkeypatch.delenv("SOFTARM_STOP_PORT")
     assert softarm("stop", "--url", f"http://127.0.0.1:{port - 1}").exit_code == 0
     assert [post.request.kind for post in inbox.take()] == ["stop"]
+
+
+def test_a_stop_that_no_daemon_confirms_names_the_button_within_seconds(softarm):
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and never answers, like a frozen daemon
+        port = silent.getsockname()[1]
+        begun_s = time.monotonic()
+        result = softarm("stop", "--url", f"http://127.0.0.1:{port}", "--stop-port", port)
+        assert time.monotonic() - begun_s < 4.0
+    assert result.exit_code == 1
+    assert result.stderr.startswith("NOT confirmed: use the emergency-stop button; the daemon at")
 
 
 def test_stop_falls_back_to_rest_if_another_program_has_the_port(softarm, daemon, make_status):
@@ -352,7 +363,7 @@ def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, make_status,
 def test_a_daemon_that_does_not_answer_times_out(monkeypatch):
     monkeypatch.setattr("softarm.cli.shared.client.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        refuse("has not answered for 0.05 s", "stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}")
+        refuse("has not answered for 0.05 s", "status", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}")
 
 
 def test_a_broken_connection_is_reported(softarm, daemon):
