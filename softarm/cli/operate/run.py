@@ -62,6 +62,8 @@ def run(
         raise click.UsageError(
             "no robot chosen: use --config FILE for real devices (`softarm config new` writes one), or --simulated"
         )
+    if model_file is not None and not simulated:
+        raise click.UsageError("--model is for a simulated robot: add --simulated, or give it to `softarm twin`")
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     leaves("the daemon had not started")

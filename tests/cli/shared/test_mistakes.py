@@ -202,6 +202,7 @@ def test_a_value_that_cannot_be_used_is_refused_with_the_allowed_ones(folder, mo
         ("rail home --config softarm.yaml --yes --speed 0.5", "0.5 is not in the range"),
         ("rail home --config softarm.yaml --yes --speed nan", "allowed are finite numbers in the range 0.005<=x<=0.1"),
         ("run", "no robot chosen: use --config FILE for real devices"),
+        ("run --config twin.yaml --model no-delay", "--model is for a simulated robot: add --simulated, or give it to"),
         ("run --simulated --foxglove 70000", "--foxglove 70000: allowed PORT or HOST:PORT, PORT 0 to 65535 (0: any)"),
         ("run --simulated --port 80800", "80800 is not in the range 0<=x<=65535"),
         ("service install --root . --user 'a b'", "is not a valid user name"),
