@@ -226,21 +226,23 @@ def _tables(log: "TickLog", folder: Path, form: "Form") -> str:
     from softarm.common import files
     from softarm.diagnosis.data import folder as trial_folder
     from softarm.diagnosis.data import mcap
-    from softarm.diagnosis.data.trials import ROBOT_CHANNELS
+    from softarm.diagnosis.data.trials import ROBOT_CHANNELS, TrialError
     from softarm.recordings import tables
 
     folder.mkdir(parents=True, exist_ok=True)
     with progress(log) as advance:
         ticks = tables.ticks(log, advance)
-    trial = mcap.read(log.path)
     about = folder / "about.json"
     if about.exists():  # of an earlier export, whose other tables would mix with these
         for name, suffix in product(("ticks", "events", *ROBOT_CHANNELS), trial_folder.FORMS):
             (folder / f"{name}{suffix}").unlink(missing_ok=True)
     tables.write(folder / f"ticks.{form}", ticks)
     tables.write(folder / f"events.{form}", tables.events(log, tuple(log.entries())))
-    trial_folder.write(trial, folder, form)
     files.write_text(about, tables.about(log))
+    try:
+        trial_folder.write(mcap.read(log.path), folder, form)
+    except TrialError as error:  # no device has answered
+        click.echo(error, err=True)
     return f"wrote {folder}: {len(ticks['t_s'])} ticks over {log.duration_s:.1f} s"
 
 

@@ -1,6 +1,7 @@
 """`softarm logs`: recordings are played, exported, repaired and replayed."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,20 @@ def test_a_log_is_exported_as_a_trial_folder_that_replaces_an_earlier_one(tmp_pa
     for name, series in trial.channels.items():
         np.testing.assert_array_equal(series.t_s, log.channels[name].t_s)
         np.testing.assert_equal(dict(series.columns), dict(log.channels[name].columns))
+
+
+def test_the_ticks_of_a_log_without_devices_are_exported_as_well(tmp_path):
+    whole, path = logs.read(FLIGHT), tmp_path / "alone.mcap"
+    inputs, outputs, timing = next(iter(whole))
+    with path.open("wb") as file:
+        live = TickFile(file)
+        live.head(whole.config, None, 0, 0)
+        live.write((replace(inputs, mocap=(), pressure=None, rail=None), outputs, timing))
+        live.flush()
+    result = export("--to", "csv", "--out", tmp_path / "out", path, FLIGHT)
+    assert result.stderr.startswith(f"{path}: contains no readings")
+    assert result.stdout.count("wrote ") == 2
+    assert {file.name for file in (tmp_path / "out" / "alone").iterdir()} == {"about.json", "events.csv", "ticks.csv"}
 
 
 def test_logs_become_one_dataset_for_lerobot(tmp_path):
