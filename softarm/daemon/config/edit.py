@@ -23,17 +23,22 @@ def with_values(text: str, path: Path, group: tuple[str, ...], values: Mapping[s
             write by hand.
     """
     document, changed = yaml_lines.parse(text, path), text
-    for key, value in values.items():
-        changed = _with_value(changed, path, (*group, key), value)
     wanted = copy.deepcopy(document.data) or {}
     place: Any = wanted
     for name in group:
         place[name] = place.get(name) or {}
         place = place[name]
     place.update(values)
-    edited = yaml_lines.parse(changed, path)
-    if edited.data != wanted:  # for example an anchor used for another value
-        raise _by_hand(path, group, values)
+    try:
+        for key, value in values.items():
+            changed = _with_value(changed, path, (*group, key), value)
+        edited = yaml_lines.parse(changed, path)
+    except FileError:
+        edited = document
+    if edited.data != wanted:  # for example groups in braces, or an anchor used for another value
+        keys = "; ".join(f"{'.'.join((*group, key))}: {_written(value)}" for key, value in values.items())
+        text = f"{path}: the layout of the file cannot be kept, so it stays unchanged; write by hand {keys}"
+        raise FileError([text])
     fit(edited, Config, rules=contradictions)
     return changed
 
@@ -45,9 +50,8 @@ def _with_value(text: str, path: Path, place: tuple[str, ...], value: Value) -> 
         found = re.match(
             r"(\s*[\"']?" + re.escape(place[-1]) + r"[\"']?\s*:\s*)([^\s#&*{\[|>]+)(.*)", lines[number], re.S
         )
-        if found is None:
-            raise _by_hand(path, place[:-1], {place[-1]: value})
-        lines[number] = f"{found[1]}{_written(value).ljust(len(found[2]))}{found[3]}"
+        if found is not None:
+            lines[number] = f"{found[1]}{_written(value).ljust(len(found[2]))}{found[3]}"
         return "".join(lines)
     return _inserted(document, lines, place, value)
 
@@ -75,8 +79,3 @@ def _inserted(document: Document, lines: list[str], place: tuple[str, ...], valu
 
 def _written(value: Value) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:.10g}"
-
-
-def _by_hand(path: Path, group: tuple[str, ...], values: Mapping[str, Value]) -> FileError:
-    keys = "; ".join(f"{'.'.join((*group, key))}: {_written(value)}" for key, value in values.items())
-    return FileError([f"{path}: the layout of the file cannot be kept, so it stays unchanged; write by hand {keys}"])

@@ -58,11 +58,14 @@ def test_a_value_is_inserted_in_its_group(before: str, after: str):
         "drivers:\n  rail: {host: h}\n",
         "drivers:\n  rail:\n    centre_m: &c 0.3\n",
         "drivers:\n  rail:\n    centre_m:\n      0.3\n",
+        "drivers: {}\n",
+        '{"drivers": {"rail": {"host": "h"}}}\n',
     ],
 )
 def test_an_unusual_layout_is_left_and_reported(text: str):
-    with pytest.raises(FileError, match=r"write by hand drivers\.rail\.centre_m: 0\.29|not valid YAML"):
-        edited(text, centre_m=0.29)
+    with pytest.raises(FileError) as refused:
+        edited(text, centre_m=0.29, reversed=True)
+    assert str(refused.value).endswith("write by hand drivers.rail.centre_m: 0.29; drivers.rail.reversed: true")
 
 
 def test_a_value_that_is_not_allowed_is_refused():
