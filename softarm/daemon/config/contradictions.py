@@ -20,7 +20,7 @@ def contradictions(config: Config) -> Iterator[str]:
     """Yield a message for each: both keys with their values, and the next step. The wrong key comes first."""
     yield from _rail(config)
     yield from _times(config)
-    yield from _logs(config)
+    yield from _folders(config)
     yield from _ros(config)
 
 
@@ -107,7 +107,10 @@ def _times(config: Config) -> Iterator[str]:
             )
 
 
-def _logs(config: Config) -> Iterator[str]:
+def _folders(config: Config) -> Iterator[str]:
+    for key, folder in (("recorder.directory", config.recorder.directory), ("api.reports", config.api.reports)):
+        if str(folder).startswith("~"):
+            yield f"{key} is {folder}, and ~ is not expanded in this file; write the whole path"
     kept_mb, file_mb = config.recorder.keep_mb, config.recorder.file_max_mb
     if kept_mb is not None and kept_mb < 2 * file_mb:
         yield (

@@ -45,6 +45,8 @@ def refusals(tmp_path):
         ("drivers: {rail: {timeout_s: 0.2}}", "is 0.2, not below drivers.rail.time_to_live_s 0.15", "to 0.075"),
         ("failsafe: {rail_stale_s: 0.6}", "is 0.6, above 0.5: the safety filter brakes", "to 0.5 or less"),
         ("failsafe: {mocap_stale_s: 0.03}", "is 0.03, no longer than a tick (0.0333 s", "to 0.07 or more"),
+        ("recorder: {directory: ~/logs}", "recorder.directory: is ~/logs, and ~ is not expanded", "the whole path"),
+        ("api: {reports: ~ann/reports}", "api.reports: is ~ann/reports, and ~ is not expanded", "the whole path"),
         ("recorder: {keep_mb: 600}", "is 600, less than two files of recorder.file_max_mb 500", "keep_mb to 1000"),
         ("ros: {commands: stop}", "is stop, and ros.router is null: no command would arrive", "name the router"),
         ("ros: {commands: all, router: tcp/10.0.0.2:7447}", "tcp/10.0.0.2:7447 is on another machine", "127.0.0.1"),
