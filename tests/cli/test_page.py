@@ -106,6 +106,8 @@ def test_help_lists_every_exit_code():
         ("softarm evaluate reach --config arm.yaml mi", 5, ["plain,mine", "file,mi"]),
         ("softarm model show no-d", 3, ["plain,no-delay", "file,no-d"]),
         ("softarm run --model no-d", 3, ["plain,no-delay", "file,no-d"]),
+        ("softarm logs view logs/soft-2", 3, ["plain,logs/soft-2.mcap", "file,logs/soft-2"]),
+        ("softarm logs export --to csv logs/soft-2", 5, ["plain,logs/soft-2.mcap", "file,logs/soft-2"]),
         ("softarm logs replay logs/s", 3, ["plain,logs/soft-2.mcap", "plain,logs/soft-1.mcap", "file,logs/s"]),
         ("softarm incidents l", 2, ["plain,latest"]),
         ("softarm incidents i", 2, ["plain,incident-1.zip"]),

@@ -89,7 +89,7 @@ def show(log: Path, as_json: bool) -> None:
 
 
 @logs.command(short_help="Play a recording in the browser.")
-@click.argument("log", type=FILE, required=False)
+@click.argument("log", type=FILE, required=False, shell_complete=completion.logs)
 @click.option("--out", type=FILE, help="Page to write.  [default: LOG with .html, in this folder]")
 @click.option("--open/--no-open", "to_open", default=True, help="Open the page in the browser.")
 @click.option("--layout", type=FILE, help="Only write the layout for Foxglove to this file.")
@@ -159,7 +159,7 @@ def replay(files: tuple[Path, ...]) -> None:
 
 
 @logs.command()
-@click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True)
+@click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True, shell_complete=completion.logs)
 @click.option("--to", type=click.Choice(FORMS), required=True, help="Target format.")
 @click.option(
     "--out",
