@@ -13,6 +13,7 @@ import time
 from collections import deque
 from typing import IO, BinaryIO, cast
 
+from softarm.common.address import local_url
 from softarm.daemon.control.records import Tick
 from softarm.daemon.logbook import ticks
 from softarm.daemon.logbook.ticks import TickFile
@@ -68,8 +69,8 @@ class FoxglovePublisher:
 
     @property
     def url(self) -> str:
-        """Return the address that Foxglove connects to."""
-        return f"ws://{self._host}:{self.port}"
+        """Return the address that Foxglove connects to on this computer."""
+        return local_url(self._host, self.port).replace("http", "ws", 1)
 
     def start(self) -> None:
         """Start the server, or raise FoxgloveError and leave nothing running."""

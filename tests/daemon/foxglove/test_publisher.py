@@ -77,6 +77,13 @@ def running(tmp_path_factory):
         yield daemon
 
 
+@pytest.mark.parametrize(
+    ("host", "url"), [("127.0.0.1", "ws://127.0.0.1:8765"), ("::1", "ws://[::1]:8765"), ("::", "ws://127.0.0.1:8765")]
+)
+def test_the_printed_address_opens_on_this_computer(host, url):
+    assert FoxglovePublisher(Config(), host).url == url
+
+
 @pytest.fixture(scope="module")
 def robot(running):
     with httpx.Client(base_url=running.url, timeout=60) as client:
