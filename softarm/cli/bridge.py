@@ -188,7 +188,6 @@ def _report(found: "Found", out: Path) -> None:
 
 SHOWN_S = 0.2  # interval of the status on a terminal
 PRINTED_S = 1.0  # interval of the objects of --json
-PRIORITY = 20  # that of the control loop, since cameras do not wait for other programs
 
 
 @click.group()
@@ -236,7 +235,7 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
     signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore SIGINT in background commands
-    realtime.outrank_other_programs(PRIORITY)
+    realtime.outrank_other_programs(realtime.BASE_PRIORITY)  # cameras do not wait for other programs
     if config_file is None:
         click.echo(
             "not calibrated: the room is taken as it stands; `softarm bridge calibrate` finds how it lies", err=True
