@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from softarm.common.address import is_loopback
 from softarm.daemon.control.checks import OUTSIDE_M
 from softarm.daemon.control.safety import KNOWN_S
+from softarm.drivers.mocap import plugged
+from softarm.schemas.base import tcp_address
 from softarm.schemas.config import Config
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
@@ -21,6 +23,7 @@ def contradictions(config: Config) -> Iterator[str]:
     yield from _rail(config)
     yield from _times(config)
     yield from _folders(config)
+    yield from _ports(config)
     yield from _ros(config)
 
 
@@ -117,6 +120,18 @@ def _folders(config: Config) -> Iterator[str]:
             f"recorder.keep_mb is {kept_mb}, less than two files of recorder.file_max_mb {file_mb}: a log would be "
             f"deleted as soon as the next one is full; raise keep_mb to {2 * file_mb} or lower file_max_mb"
         )
+
+
+def _ports(config: Config) -> Iterator[str]:
+    api, mocap, ros = config.api, config.drivers.mocap, config.ros
+    taken = {}
+    if mocap.driver == plugged.BUILT_IN and (listens := tcp_address(mocap.endpoint)) is not None:
+        taken[listens[1]] = f"drivers.mocap.endpoint {mocap.endpoint}"
+    if ros.router is not None and is_loopback(ros.address[0]):
+        taken[ros.address[1]] = f"ros.router {ros.router}"
+    for key, port in (("api.port", api.port), ("api.stop_port", api.stops_at)):
+        if port in taken:
+            yield f"{key} is {port}, and {taken[port]} has this port; name another port"
 
 
 def _ros(config: Config) -> Iterator[str]:

@@ -48,6 +48,9 @@ def refusals(tmp_path):
         ("recorder: {directory: ~/logs}", "recorder.directory: is ~/logs, and ~ is not expanded", "the whole path"),
         ("api: {reports: ~ann/reports}", "api.reports: is ~ann/reports, and ~ is not expanded", "the whole path"),
         ("recorder: {keep_mb: 600}", "is 600, less than two files of recorder.file_max_mb 500", "keep_mb to 1000"),
+        ("api: {port: 7447}", "api.port: is 7447, and drivers.mocap.endpoint tcp/127.0.0.1:7447 has", "another port"),
+        ("api: {stop_port: 7447}", "api.stop_port: is 7447, and drivers.mocap.endpoint tcp", "another port"),
+        ("{api: {port: 9}, ros: {router: tcp/127.0.0.1:9}}", "is 9, and ros.router tcp/127.0.0.1:9", "another port"),
         ("ros: {commands: stop}", "is stop, and ros.router is null: no command would arrive", "name the router"),
         ("ros: {commands: all, router: tcp/10.0.0.2:7447}", "tcp/10.0.0.2:7447 is on another machine", "127.0.0.1"),
         (

@@ -128,15 +128,6 @@ def test_a_used_port_and_a_foreign_address_are_reported(drive):
     assert only(ports.listening(config, wires=False)).state is State.OK
 
 
-def test_a_port_with_two_uses_is_reported(drive):
-    free = drive.getsockname()[1]
-    drive.close()
-    config = Config(api=Api(port=0, stop_port=free), drivers=Drivers(mocap=Mocap(endpoint=f"tcp/127.0.0.1:{free}")))
-    stop, mocap = ports.listening(config, wires=True)
-    assert (stop.state, mocap.state) == (State.OK, State.PROBLEM)
-    assert mocap.figure == f"127.0.0.1:{free} is api.stop_port, too"
-
-
 def test_an_endpoint_without_tcp_is_not_checked():
     config = Config(api=Api(port=0), drivers=Drivers(mocap=Mocap(endpoint="unixpipe/none")))
     assert list(ports.listening(config, wires=True)) == []
