@@ -270,7 +270,7 @@ class Ppo:
         observation, keep, state = self._observation, self._keep, self._state
         std = network.log_std.detach().exp()
         rows: list[tuple[Tensor, ...]] = []
-        ends: list[tuple[Tensor, ...]] = []  # values of the last observations; on a card their inputs
+        ends: list[tuple[Tensor, ...]] = []  # last observations and states of truncated episodes; on a card all
         ended = reached = torch.zeros((), device=self._device)
         for _ in range(self.config.horizon):
             mean, value, after = self._infer(observation, keep, state)
@@ -279,14 +279,14 @@ class Ppo:
             seen, reward, terminated, truncated, success, final, _ = map(torch.as_tensor, step)
             done = (terminated | truncated).float()
             rows.append((observation, keep, action, mean, value, reward, terminated, done, truncated))
-            ends.append((final, *after) if self._on_card else (self._values_of(truncated, final, after),))
+            # Choosing robots would wait for the card.
+            ends.append((final, *after) if self._on_card else tuple(each[truncated] for each in (final, *after)))
             observation, keep, state = self._noisy(seen), 1.0 - done, after
             ended, reached = ended + done.sum(), reached + success.sum()
         seen, kept, action, mean, value, reward, terminated, done, truncated = map(torch.stack, zip(*rows, strict=True))
-        cut, *memory = map(torch.stack, zip(*ends, strict=True))
-        if self._on_card:  # choosing the robots would wait for the card
-            final, hidden, cell = (each.flatten(0, 1) for each in (cut, *memory))
-            cut = self._infer(final, torch.ones_like(final[:, 0]), (hidden, cell))[1].view_as(value)
+        final, *memory = map(torch.cat, zip(*ends, strict=True))
+        _, cut, _ = self._infer(final, torch.ones_like(final[:, 0]), (memory[0], memory[1]))
+        cut = cut.view_as(value) if self._on_card else torch.zeros_like(value).masked_scatter(truncated, cut)
         _, last_value, _ = self._infer(observation, keep, state)
         following = torch.where(truncated, cut, torch.cat((value[1:], last_value[None])))
         following = following.masked_fill(terminated, 0.0)
@@ -308,14 +308,6 @@ class Ppo:
 
     def _infer(self, observation: Tensor, keep: Tensor, state: RecurrentState) -> tuple[Tensor, Tensor, RecurrentState]:
         return infer(self.network, observation, keep, state, self._pool, self._dtype)
-
-    def _values_of(self, which: Tensor, observation: Tensor, state: RecurrentState) -> Tensor:
-        """Return the values of some robots' observations, [R]; the others' are arbitrary."""
-        robots, values = which.nonzero().squeeze(1), torch.zeros(len(which))
-        if len(robots):
-            chosen = (state[0][robots], state[1][robots])
-            values[robots] = self._infer(observation[robots], torch.ones(len(robots)), chosen)[1]
-        return values
 
     def _normal(self, shape: torch.Size) -> Tensor:
         """Draw normally distributed numbers."""
