@@ -23,7 +23,7 @@ def reached_in_range(policy: onnxruntime.InferenceSession, task: ReachTask, mode
     trials = validation_scenarios(task, 5, 48)
     h = c = np.zeros((1, 48, policy.get_inputs()[1].shape[2]), dtype=np.float32)
 
-    def act(observation: np.ndarray) -> np.ndarray:
+    def act(observation: np.ndarray, flying: np.ndarray) -> np.ndarray:
         nonlocal h, c
         action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
         return action

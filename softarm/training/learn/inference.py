@@ -16,6 +16,10 @@ from softarm.training.learn.network import PolicyNetwork, RecurrentState
 
 CHUNK = 512  # robots a thread takes at once
 
+# Policy for one episode: observations [R, N] and the robots that still fly, [R], to actions [R, 2] in -1..1. Actions of
+# other robots do not count.
+Act = Callable[[NDArray[np.float32], NDArray[np.bool_]], NDArray[np.float32]]
+
 
 @contextmanager
 def workers(count: int | None = None) -> Iterator[Executor]:
@@ -39,17 +43,16 @@ def device_named(name: str) -> torch.device:
     return torch.device(name)
 
 
-def actor(
-    network: PolicyNetwork, robots: int, pool: Executor, dtype: torch.dtype = torch.float32
-) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """Return the policy for one episode: a function from observations [R, N] to mean actions [R, 2] in -1..1."""
+def actor(network: PolicyNetwork, robots: int, pool: Executor, dtype: torch.dtype = torch.float32) -> Act:
+    """Return the mean actions of a network for one episode; robots that no longer fly are not computed."""
     device = network.device
-    state, keep = network.initial_state(robots), torch.ones(robots, device=device)
+    (hidden, cell), keep = network.initial_state(robots), torch.ones(robots, device=device)
 
-    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        nonlocal state
-        mean, _, state = infer(network, torch.from_numpy(observation).to(device), keep, state, pool, dtype)
-        action: NDArray[np.float32] = mean.clamp(-1.0, 1.0).cpu().numpy()
+    def act(observation: NDArray[np.float32], flying: NDArray[np.bool_]) -> NDArray[np.float32]:
+        rows, action = torch.from_numpy(flying).to(device), np.zeros((robots, network.shape.actions), np.float32)
+        state, seen = (hidden[rows], cell[rows]), torch.from_numpy(observation[flying]).to(device)
+        mean, _, (hidden[rows], cell[rows]) = infer(network, seen, keep[rows], state, pool, dtype)
+        action[flying] = mean.clamp(-1.0, 1.0).cpu().numpy()
         return action
 
     return act

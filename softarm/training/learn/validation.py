@@ -1,6 +1,6 @@
 """Success of a network: a validation set to choose checkpoints, and the seed's test trials for reports."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from softarm.schemas.flights import TRAINED_Z_MAX_M, Scenario, Shares
 from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
-from softarm.training.learn.inference import actor
+from softarm.training.learn.inference import Act, actor
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.task import calls
 from softarm.training.task.environment import Environment, Randomisation, ShelfEnvironment, Step
@@ -145,7 +145,7 @@ def fly(
 
 
 def fly_actions(
-    act: Callable[[Array], Array],
+    act: Act,
     task: ReachTask,
     scenarios: Scenarios,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
@@ -153,7 +153,7 @@ def fly_actions(
     randomisation: Randomisation | None = None,
     device: torch.device | str = "cpu",
 ) -> Flown:
-    """Fly every scenario once, without action noise; `act` maps observations [R, N] to actions [R, 2] in -1..1."""
+    """Fly every scenario once with the actions of `act`, without action noise."""
     count = len(scenarios.target_m)
     noiseless = replace(task, action_noise=0.0)
     environment = environment_on(torch.device(device), noiseless, count, 0, model, physics_rate_hz, randomisation)
@@ -165,7 +165,7 @@ def fly_actions(
     path = np.full((task.episode_steps + 1, count, 2), np.nan, dtype=np.float32)
     path[0] = array_of(environment.simulator.tip_m())
     for k in range(task.episode_steps):
-        step = Step(*map(array_of, environment.step(act(observation))))
+        step = Step(*map(array_of, environment.step(act(observation, alive))))
         tip, target = step.final_tip_m, step.final_observation[:, first : first + 2]
         closest[alive] = np.minimum(closest, np.linalg.norm(tip - target, axis=1))[alive]
         path[k + 1, alive] = tip[alive]

@@ -6,7 +6,6 @@ state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_
 metadata key `softarm`.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from softarm.common import files, revision
 from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn import validation
-from softarm.training.learn.inference import actor, workers
+from softarm.training.learn.inference import Act, actor, workers
 from softarm.training.learn.network import CLIP, PolicyNetwork
 from softarm.training.record.checkpoint import CheckpointError, Settings, load_policy, task_of
 from softarm.training.record.curve import Iteration, validated
@@ -166,10 +165,10 @@ def _vent(network: PolicyNetwork) -> None:
         network.mean_head.bias[1] = -2.0 * low / (high - low) - 1.0
 
 
-def golden_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
+def golden_run(act: Act, task: ReachTask) -> Golden:
     """Record a run of one robot to a typical target, which the exported file must reproduce.
 
-    `act` is a function from observations [1, N] to actions [1, 2]. Raises CheckpointError if an action is not finite.
+    Raises CheckpointError if an action is not finite.
     """
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=GOLDEN_STEPS + 1)
@@ -179,7 +178,7 @@ def golden_run(act: Callable[[Array], Array], task: ReachTask) -> Golden:
     inputs, outputs = [], []
     for _ in range(GOLDEN_STEPS):
         inputs.append(tuple(observation[0].tolist()))
-        action = act(observation)
+        action = act(observation, np.ones(1, np.bool_))
         if not np.isfinite(action).all():
             raise CheckpointError(
                 f"the network's action is {action[0].tolist()} in the golden run; allowed are finite actions: the "

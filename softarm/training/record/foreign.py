@@ -58,7 +58,7 @@ def export(
         raise ForeignNetworkError(f"cut is {cut!r}; allowed: a number above 0, or infinity: correct it")
     model = _graph(layers, inputs, shift, width, cut)
 
-    def act(observation: Array) -> Array:
+    def act(observation: Array, flying: NDArray[np.bool_]) -> Array:
         with torch.no_grad():
             inside = torch.from_numpy(((observation - shift) / width).clip(-cut, cut))
             action: Array = layers(inside).clamp(-1.0, 1.0).numpy()
