@@ -96,4 +96,4 @@ def _fly(console: "Console", sil: "SoftwareInTheLoop", number: int, goal: Goal) 
 
 def in_mm(closest_m: float | None) -> str:
     """Return a closest distance in mm; a dash for a goal that a stop ended before its first tick."""
-    return "-" if closest_m is None else f"{1e3 * closest_m:.0f}"
+    return "-" if closest_m is None else f"{1e3 * closest_m:.1f}"
