@@ -79,10 +79,13 @@ def test_lists_in_cells_give_a_stage_for_each_element(tmp_path):
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("stage", ["so101", "so101-mujoco"])
-def test_recordings_of_public_servos_are_read_without_a_warning(data, stage):
+@pytest.mark.parametrize(("stage", "doubted"), [("so101", {"servo6"}), ("so101-mujoco", set())])
+def test_recordings_of_public_servos_are_read_with_one_doubt(data, stage, doubted):
+    """Servo 6 states 2.2 times its velocity."""
     trials = tables.read(STAGES / f"{stage}.yaml", data)
-    assert (len(trials), [w for t in trials for w in t.warnings]) == (30, [])
+    assert len(trials) == 30
+    assert {t.stage.name for t in trials if t.warnings} == doubted
+    assert all("times the slope of position" in warning for t in trials for warning in t.warnings)
     if stage == "so101":
         servo = next(t for t in trials if t.name == "step-response/servo3")
         lag = np.corrcoef(servo.channels["command"]["command"], servo.channels["measured"]["position"])[0, 1]
