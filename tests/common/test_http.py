@@ -1,8 +1,6 @@
 """Tests of the HTTP client."""
 
-import shutil
 import ssl
-import subprocess
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -11,6 +9,7 @@ import httpx
 import pytest
 
 from softarm.common import http
+from tests.tls import certified
 
 
 @pytest.fixture
@@ -40,14 +39,8 @@ def test_a_proxy_of_the_environment_is_ignored(monkeypatch: pytest.MonkeyPatch) 
         assert client.trust_env is False
 
 
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is missing")
 def test_an_authority_of_this_computer_is_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
-    named = ("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-keyout", key, "-out", certificate)
-    command = ("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", *named)
-    subprocess.run(command, check=True, capture_output=True)
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificate, key)
+    context, certificate = certified(tmp_path)
     with HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
         server.socket = context.wrap_socket(server.socket, server_side=True)
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -86,11 +86,13 @@ class Remote:
 
     def _answer(self, method: str, path: str, body: object, timeout_s: float) -> httpx.Response:
         """Return a successful response; otherwise end the command with the daemon's own reason."""
+        # A stop over a link that connects slowly is late, not lost.
+        timeout = httpx.Timeout(timeout_s, connect=max(timeout_s, TIMEOUT_S))
         try:
-            response = self._client.request(method, path, json=body, timeout=timeout_s)
+            response = self._client.request(method, path, json=body, timeout=timeout)
         except httpx.UnsupportedProtocol:
             raise click.BadParameter(f"{self.url!r} lacks http:// or https://; e.g. {DEFAULT_URL}") from None
-        except httpx.ConnectError as error:
+        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
             raise Unreachable(
                 f"no daemon at {self.url} ({error}): start one with `softarm run --config FILE`, or name its --url"
             ) from None

@@ -2,8 +2,10 @@
 
 import json
 import socket
+import threading
 import time
 from datetime import UTC, datetime
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
@@ -16,6 +18,7 @@ from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.log import LogEntry
 from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
 from tests.cli.invoke import invoke, refuse
+from tests.tls import certified
 
 RUNNING = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
 
@@ -138,6 +141,27 @@ def test_a_stop_that_no_daemon_confirms_names_the_button_within_seconds(softarm)
         assert time.monotonic() - begun_s < 4.0
     assert result.exit_code == 1
     assert result.stderr.startswith("NOT confirmed: use the emergency-stop button; the daemon at")
+    assert "has not answered for 1 s" in result.stderr
+
+
+class Late(BaseHTTPRequestHandler):
+    """Daemon behind a proxy whose TLS handshake takes longer than a stop waits for its answer."""
+
+    def do_POST(self):
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(b"{}")
+
+
+def test_a_stop_over_a_link_that_connects_slowly_arrives(softarm, tmp_path, monkeypatch):
+    context, certificate = certified(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    with HTTPServer(("127.0.0.1", 0), Late) as server:
+        server.socket = context.wrap_socket(server.socket, server_side=True, do_handshake_on_connect=False)
+        threading.Timer(1.2, server.serve_forever).start()
+        result = softarm("stop", "--url", f"https://localhost:{server.server_port}")
+        server.shutdown()
+    assert "stopped and latched" in result.stdout
 
 
 def test_stop_falls_back_to_rest_if_another_program_has_the_port(softarm, daemon, make_status):
