@@ -5,7 +5,7 @@ Checked for every configuration file, but not in `Config` itself: the configurat
 
 from collections.abc import Iterator
 
-from softarm.common.address import is_loopback
+from softarm.common.address import is_loopback, is_shared
 from softarm.daemon.control.checks import OUTSIDE_M
 from softarm.daemon.control.safety import KNOWN_S
 from softarm.drivers.mocap import plugged
@@ -124,14 +124,15 @@ def _folders(config: Config) -> Iterator[str]:
 
 def _ports(config: Config) -> Iterator[str]:
     api, mocap, ros = config.api, config.drivers.mocap, config.ros
-    taken = {}
+    taken = []
     if mocap.driver == plugged.BUILT_IN and (listens := tcp_address(mocap.endpoint)) is not None:
-        taken[listens[1]] = f"drivers.mocap.endpoint {mocap.endpoint}"
+        taken.append((f"drivers.mocap.endpoint {mocap.endpoint}", *listens))
     if ros.router is not None and is_loopback(ros.address[0]):
-        taken[ros.address[1]] = f"ros.router {ros.router}"
-    for key, port in (("api.port", api.port), ("api.stop_port", api.stops_at)):
-        if port in taken:
-            yield f"{key} is {port}, and {taken[port]} has this port; name another port"
+        taken.append((f"ros.router {ros.router}", *ros.address))
+    for other, host, port in taken:
+        for key, own in (("api.port", api.port), ("api.stop_port", api.stops_at)):
+            if own == port and is_shared(api.host, host):
+                yield f"{key} is {own}, and {other} has this port; name another port"
 
 
 def _ros(config: Config) -> Iterator[str]:

@@ -77,6 +77,7 @@ def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusal
         "limits: {rail: {braking_m_s2: 1}}\ndrivers: {rail: {acceleration_m_s2: 2}}",
         "limits: {rail: {position_min_m: -0.28, position_max_m: 0.28}}",
         "limits: {rail: {latency_s: 0.09}}",
+        "{api: {port: 7447}, drivers: {mocap: {endpoint: tcp/192.168.1.5:7447}}}",  # another network's address
         "failsafe: {rail_stale_s: 0.04}\ndrivers: {regulator: {time_to_live_s: 0.04}}",
         "recorder: {keep_mb: 1000}",
         "ros: {commands: all, router: tcp/127.0.0.1:7447}",
